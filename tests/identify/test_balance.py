@@ -7,8 +7,8 @@ import pytest
 
 from crankorder.engine.definition import BalanceShafts, GasCurve
 from crankorder.engine.machine_parts import AddedMass
-from crankorder.identify.balance.trial_mass import trial_mass
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
+from crankorder.identify.changes.mass_change import trial_mass
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, swept
 from made.typed import as_dicts
 

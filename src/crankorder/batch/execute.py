@@ -28,8 +28,7 @@ from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Channel, Findings, Quality, SpeedSwing, nothing_sought, quality_of
-from crankorder.identify.causes.cycle_forces import cycle_doubts
-from crankorder.identify.machine_model import MachineModel
+from crankorder.identify.machine_model import MachineModel, cycle_doubts
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity, flags_of
 from crankorder.settings import Settings, toml_table

@@ -269,10 +269,9 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
     """Mean square of each part of one channel and in ``total``, over the rows that hold data."""
     grid, lines = looked.grid, looked.lines
     rows = np.flatnonzero(np.isfinite(grid.energy[number]).all(axis=-1))
-    share, owner = grid.share[rows], looked.owner[rows]
-    energy, expected = share * grid.energy[number, rows], share * looked.surface[number, rows]
-    has_lines = lines.centre.shape[1] > 0
-    of_line = _energy_of_lines(grid, lines, number, (rows, owner, energy, expected)) if has_lines else np.zeros(0)
+    share = grid.share[rows]
+    energy = share * grid.energy[number, rows]
+    of_line = _energy_of_lines(looked, number, rows, energy) if lines.centre.shape[1] else np.zeros(0)
     known, tone = lines.known[number], lines.is_tone
     parts = {
         "orders": of_line[known & ~tone].sum(),
@@ -284,15 +283,14 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
     return {name: float(part) / max(1, len(rows)) for name, part in parts.items()}
 
 
-def _energy_of_lines(
-    grid: EnergyMap, lines: EnergyLines, number: int, cells: tuple[Ints, Ints, Floats, Floats]
-) -> Floats:
-    """Energy of each line in channel ``number``, summed over the rows.
+def _energy_of_lines(looked: _LookedAt, number: int, rows: Ints, energy: Floats) -> Floats:
+    """Energy of each line in channel ``number``, summed over the ``rows``, of which the cells have the ``energy``.
 
-    ``cells``: the rows, and in them (rows, cells) the owner, the energy and what is expected without lines. Lines whose
-    main lobes meet share what stands in their cells as their amplitudes have it: no cell tells which of them made it.
+    Lines whose main lobes meet share what stands in their cells as their amplitudes have it: no cell tells which of
+    them made it.
     """
-    rows, owner, energy, expected = cells
+    grid, lines, owner = looked.grid, looked.lines, looked.owner[rows]
+    expected = grid.share[rows] * looked.surface[number, rows]
     n_lines, stated = lines.centre.shape[1], np.nan_to_num(lines.stated[number, rows])
     seen = np.isfinite(lines.stated[number, rows]) & _inside(grid, lines)[rows]
     place = (np.arange(len(rows))[:, None] * n_lines + owner)[owner >= 0]

@@ -128,6 +128,11 @@ class AgreedOrder:
     of_angle: bool = False
 
     @property
+    def speed_rpm(self) -> Floats:
+        """Speeds at which its lines are seen, one line after the other."""
+        return np.concatenate([line.speed_rpm for line in self.lines]) if self.lines else np.zeros(0)
+
+    @property
     def line_error(self) -> float:
         """Standard error beside the other orders of the test, and of the frequency at the speed that is counted by."""
         return self.order_error if self.own_error is None else self.own_error
@@ -279,6 +284,10 @@ class OrderResponse:
     recording: str = ""
     slopes: Complexes | None = None
 
+    def passes(self, rpm: float) -> bool:
+        """Whether ``rpm`` lies in its span."""
+        return self.force.span_rpm[0] <= rpm <= self.force.span_rpm[1]
+
 
 @dataclass(frozen=True, eq=False)
 class UnseenBound:
@@ -321,6 +330,11 @@ class ModalFit:
     fitted_psd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     whirls: tuple[Whirl, ...] = ()
     left: tuple[Unsearched, ...] = ()
+
+    @property
+    def step_hz(self) -> float:
+        """Distance of neighbouring bins of the floor; 0 where there are none."""
+        return float(self.frequency_hz[1] - self.frequency_hz[0]) if len(self.frequency_hz) > 1 else 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,8 @@ from crankorder.identify.balance.known_forces import (
 )
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
 from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
-from crankorder.identify.causes.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrders, ModalFit
+from crankorder.identify.machine_model import gas_half_orders
 from crankorder.identify.modes.pole_errors import side_by_side
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
@@ -121,17 +121,14 @@ def _by_engine_orders(
 
 
 def _check_firing(orders: AgreedOrders, engine: Engine) -> None:
-    if engine.gas is not None:
-        raise _Refused(
-            "the engine has gas: its torque rocks the crankcase at every order of the known forces, through a path "
-            f"that is not known. Motor it without compression, with an engine file without gas; or {TRIAL_MASS}"
-        )
     half = gas_half_orders(order.order for order in orders)
+    rocks = "rocks the crankcase at every order of the known forces"
+    if engine.gas is not None:
+        rocks = f"the engine has gas: its torque {rocks}, through a path that is not known"
+        raise _Refused(f"{rocks}. Motor it without compression, with an engine file without gas; or {TRIAL_MASS}")
     if engine.revs_per_cycle == 2 and len(half) > 1:
-        raise _Refused(
-            f"half orders ({', '.join(half)}) show gas torque, which rocks the crankcase at every order of the known "
-            f"forces too. Motor it without compression; or {TRIAL_MASS}"
-        )
+        rocks = f"half orders ({', '.join(half)}) show gas torque, which {rocks} too"
+        raise _Refused(f"{rocks}. Motor it without compression; or {TRIAL_MASS}")
 
 
 def _check_scale(measured: MeasuredOrders, shaker: KnownForces) -> None:
@@ -144,14 +141,12 @@ def _check_scale(measured: MeasuredOrders, shaker: KnownForces) -> None:
         raise _Refused("the orders of known force were not measured")
     largest = np.abs(measured.amplitude[:, strong]).max(axis=0) / force[strong]
     mass_kg = 1.0 / max(float(np.median(largest)), 1e-300)
-    if NUMBERS.lightest_kg <= mass_kg <= NUMBERS.heaviest_kg:
-        return
-    times = mass_kg / 1e3 if mass_kg > NUMBERS.heaviest_kg else 10.0 / mass_kg
-    word = "small" if mass_kg > NUMBERS.heaviest_kg else "large"
-    raise _Refused(
-        f"the amplitudes are about {times:.0e} times too {word} for this engine: its known forces would act on a mass "
-        f"of {mass_kg:.2g} kg. Check sensitivity and unit of the channels"
-    )
+    if not NUMBERS.lightest_kg <= mass_kg <= NUMBERS.heaviest_kg:
+        times, word = (mass_kg / 1e3, "small") if mass_kg > NUMBERS.heaviest_kg else (10.0 / mass_kg, "large")
+        raise _Refused(
+            f"the amplitudes are about {times:.0e} times too {word} for this engine: its known forces would act on a "
+            f"mass of {mass_kg:.2g} kg. Check sensitivity and unit of the channels"
+        )
 
 
 def _fitted(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit) -> KnownForcesFit:
@@ -220,23 +215,20 @@ def _check_orders_agree(measured: MeasuredOrders, shaker: KnownForces, modal: Mo
         alone = quiet_fit(rest, shaker.forces.on(fit.axes), modal, n_modes=n_modes).widened()
         for number, (sought, _) in enumerate(shaker.sought):
             part = slice(2 * number, 2 * number + 2)
+            without, with_it = (1e3 * abs(of.mass_kg[number]) for of in (alone, fit))
             apart = abs(alone.mass_kg[number] - fit.mass_kg[number])
-            if np.trace(alone.covariance[part, part]) > 2 * (NUMBERS.weak_share * abs(fit.mass_kg[number])) ** 2:
+            variance, stated = (np.trace(of.covariance[part, part]) for of in (alone, fit))
+            if variance > 2 * (NUMBERS.weak_share * abs(fit.mass_kg[number])) ** 2:
                 continue
-            variance = np.trace(alone.covariance[part, part]) - np.trace(fit.covariance[part, part])
-            slack = max(variance / 2, 0.02 * np.trace(alone.covariance[part, part]) / 2)
-            stated = np.sqrt(np.trace(fit.covariance[part, part]) / 2)
-            if apart > max(NUMBERS.disagree_sigmas * np.sqrt(slack), NUMBERS.harmless_sigmas * stated):
+            slack = np.sqrt(max((variance - stated) / 2, 0.02 * variance / 2))
+            if apart > max(NUMBERS.disagree_sigmas * slack, NUMBERS.harmless_sigmas * np.sqrt(stated / 2)):
                 raise _Refused(
                     f"the orders of known force contradict one another: without order {order} the mass behind order "
-                    f"{sought} is {1e3 * abs(alone.mass_kg[number]):.3g} g, with it "
-                    f"{1e3 * abs(fit.mass_kg[number]):.3g} g; another source makes one of them, such as "
-                    f"meshing gears; {TRIAL_MASS}"
+                    f"{sought} is {without:.3g} g, with it {with_it:.3g} g; another source makes one of them, such "
+                    f"as meshing gears; {TRIAL_MASS}"
                 )
             checked.append(order)
-    if not checked:
-        return _check_single(shaker, fit)
-    return f"orders {_listed(shaker.known_orders)} agree"
+    return f"orders {_listed(shaker.known_orders)} agree" if checked else _check_single(shaker, fit)
 
 
 def _check_single(shaker: KnownForces, fit: KnownForcesFit) -> str:

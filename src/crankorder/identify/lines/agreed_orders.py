@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.cause import alike_speeds
 from crankorder.identify.found import UNRESOLVED, AgreedOrder, AgreedOrders, Doubt, OrderLine
-from crankorder.identify.intervals import half_width, root
+from crankorder.identify.intervals import excess_scatter, half_width
 from crankorder.identify.lines.line_evidence import LOBE_BINS
 from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.line_phasors import (
@@ -171,7 +171,7 @@ def orders_agreed(
         proven = all(proves_speed(proof, revs_per_cycle=test.revs_per_cycle) for proof in numbers)
         test = replace(test, speed_is_sure=proven)
     agreed = sorted((_named(unnamed, test) for unnamed in distinct), key=lambda named: named.order)
-    return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
+    return tuple(_without_twins(agreed, min(0.5 * test.resolution, settings.order_match)))
 
 
 def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySettings) -> list[_Unnamed]:
@@ -206,9 +206,8 @@ def _may_be_mains(unnamed: _Unnamed, settings: IdentifySettings) -> bool:
     A motor's stated speed is often that of the field, whose multiples the mains make however the shaft turns.
     """
     speeds = np.concatenate([line.speed_rpm for line in unnamed.lines])
-    if not alike_speeds(speeds):
-        return False
-    return bool(multiples_near(unnamed.number.order * float(speeds.mean()) / 60.0, 0.0, settings=settings))
+    hertz = unnamed.number.order * float(speeds.mean()) / 60.0
+    return alike_speeds(speeds) and bool(multiples_near(hertz, 0.0, settings=settings))
 
 
 def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
@@ -223,14 +222,15 @@ def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
     return groups
 
 
-def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list[AgreedOrder]:
-    """``agreed`` without a second line that another group had found as its own already."""
+def _without_twins(agreed: list[AgreedOrder], near: float) -> list[AgreedOrder]:
+    """``agreed`` without a second line, so ``near`` at most, that another group had found as its own already."""
     kept = agreed[:1]
     for order in agreed[1:]:
         last = kept[-1]
-        apart, parted = order.order - last.order, all(PARTED_IN_SWEEP in each.doubts for each in (order, last))
-        if apart < min(near, match) and not parted and apart < 4.0 * np.hypot(order.line_error, last.line_error):
-            kept[-1] = max(last, order, key=lambda twin: sum(len(line.seen) for line in twin.lines))
+        parted = all(PARTED_IN_SWEEP in each.doubts for each in (order, last))
+        reach = min(near, 4.0 * np.hypot(order.line_error, last.line_error))
+        if order.order - last.order < reach and not parted:
+            kept[-1] = max(last, order, key=lambda twin: len(twin.speed_rpm))
         else:
             kept.append(order)
     return kept
@@ -354,15 +354,13 @@ def _joined(numbers: list[tuple[float, float, float]]) -> _Number:
 
 def _between(order: Floats, variance: Floats) -> float:
     """Variance between recordings beyond their own such that the weighted scatter is as large as expected."""
-    degrees_of_freedom = len(order) - 1
 
-    def over(extra: float) -> float:
+    def misfit(extra: float) -> float:
         weight = 1.0 / (variance + extra)
-        return float(weight @ (order - np.average(order, weights=weight)) ** 2) - degrees_of_freedom
+        return float(weight @ (order - np.average(order, weights=weight)) ** 2)
 
-    if over(0.0) <= 0.0:
-        return 0.0
-    return root(over, 0.0, float(np.ptp(order)) ** 2 * len(order) + 1e-30, within=1e-24)
+    most = float(np.ptp(order)) ** 2 * len(order) + 1e-30
+    return excess_scatter(misfit, len(order) - 1, most=most, within=1e-24)
 
 
 def _named(unnamed: _Unnamed, test: _Test) -> AgreedOrder:

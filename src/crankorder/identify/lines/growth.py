@@ -16,8 +16,8 @@ from scipy.special import gammaincc, stdtr
 from crankorder.cause import Cause
 from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
-from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom, root
-from crankorder.quantities import Bools, Floats
+from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, excess_scatter, half_width, known_freedom, root
+from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "growth")
@@ -43,7 +43,7 @@ def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends
     """
     at = int(np.argmax(amplitude))
     low, high = (float(end) for end in ends[at])
-    reach = float(half_widths(degrees_of_freedom[at : at + 1])[0] * error[at])
+    reach = float(half_width(float(degrees_of_freedom[at])) * error[at])
     sides = float(amplitude[at]) - low, high - float(amplitude[at])
     if not np.isfinite([high, reach]).all() or max(sides) <= NUMBERS.changing_ratio * reach or min(sides) <= 0.0:
         return ""
@@ -136,7 +136,7 @@ def growth(line: OrderLine) -> Growth | None:
     error = np.hypot(shared * line.amplitude_error[known] / amplitude * widened, NUMBERS.law_tolerance)
     coefficient, weight = _robust_line(x, y, error)
     residual = y - coefficient[0] - coefficient[1] * x
-    core_scale = np.hypot(error, _excess(residual, error, weight > 0.0))
+    core_scale = np.hypot(error, _excess(residual[weight > 0.0], error[weight > 0.0]))
     deviating = np.abs(residual) > NUMBERS.deviating_sigmas * core_scale
     kept = ~deviating
     if np.count_nonzero(kept) < NUMBERS.fewest_speeds or not np.ptp(x[kept]) > 0.0:
@@ -197,17 +197,14 @@ def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
     return np.array([level, slope]), weight
 
 
-def _excess(residual: Floats, error: Floats, kept: Bools) -> float:
-    """Scatter beyond the errors such that the residuals of the speeds ``kept`` are as large as expected."""
-    residual, error = residual[kept], error[kept]
-    degrees_of_freedom = max(len(residual) - 2, 1)
+def _excess(residual: Floats, error: Floats) -> float:
+    """Scatter beyond the errors (speeds,) such that the residuals are as large as expected."""
 
-    def over(scatter: float) -> float:
-        return float(np.sum(residual**2 / (error**2 + scatter**2))) - degrees_of_freedom
+    def misfit(scatter: float) -> float:
+        return float(np.sum(residual**2 / (error**2 + scatter**2)))
 
-    if over(0.0) <= 0.0:
-        return 0.0
-    return root(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, within=1e-9)
+    most = float(np.sqrt(np.sum(residual**2))) + 1e-12
+    return excess_scatter(misfit, max(len(residual) - 2, 1), most=most, within=1e-9)
 
 
 def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, float, float, float]:
@@ -220,7 +217,7 @@ def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, f
         residual = y - float(np.average(y, weights=weight)) - slope * (x - mean)
         if step == 0:
             chance = float(gammaincc(0.5 * (len(x) - 2), 0.5 * float(residual**2 @ weight)))
-        excess = _excess(residual, error, np.ones(len(x), dtype=np.bool_))
+        excess = _excess(residual, error)
     weight = 1.0 / (error**2 + excess**2)
     mean = float(np.average(x, weights=weight))
     level = float(np.average(y, weights=weight)) - slope * mean
@@ -318,7 +315,7 @@ def mean_level(line: OrderLine) -> Largest:
     amplitude, error = amplitude[known], error[known]
     mean = float(np.average(amplitude, weights=1.0 / error**2))
     for _ in range(3):
-        excess = _excess(amplitude - mean, error, np.ones(len(error), dtype=np.bool_))
+        excess = _excess(amplitude - mean, error)
         weight = 1.0 / (error**2 + excess**2)
         mean = float(np.average(amplitude, weights=weight))
     degrees_of_freedom = _degrees_of_freedom(error, excess, line.degrees_of_freedom[known])
@@ -329,11 +326,6 @@ def mean_level(line: OrderLine) -> Largest:
 def visible_range_rpm(line: OrderLine) -> tuple[float, float]:
     """Lowest and highest speed at which ``line`` stands above the false-alarm level."""
     return float(line.speed_rpm.min()), float(line.speed_rpm.max())
-
-
-def is_motion(quantity: str) -> bool:
-    """Whether order 1 in that ``quantity`` is a motion or a force, which an unbalance may make."""
-    return not any(word in quantity for word in NO_MOTION)
 
 
 def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> Cause:

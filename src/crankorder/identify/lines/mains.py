@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from crankorder.findings import Motor as MotorRecord
 from crankorder.findings import MotorLine as LineRecord
 from crankorder.findings import MotorSpeed
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, Tone
-from crankorder.identify.intervals import Z95, positive_interval
+from crankorder.identify.intervals import Z95, positive_interval, size_interval
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.known_lines import LineSeen, found_near, named_by, sightings
 from crankorder.identify.lines.line_evidence import UNPROVEN
@@ -112,7 +113,7 @@ def mains_orders(
     lines = _Fixed(
         np.array([places[order][0] for order in names]),
         np.array([places[order][1] for order in names]),
-        [{float(rpm) for line in agreed.lines for rpm in line.speed_rpm} for agreed in fixed],
+        [set(agreed.speed_rpm.tolist()) for agreed in fixed],
         np.array([order in exact for order in names]),
     )
     tones_hz = [tone.frequency_hz for tone in tones]
@@ -178,7 +179,7 @@ def _rivals(lines: _Fixed, claim: Bools, mains: float, tones: Sequence[Tone]) ->
 
 def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
     """Frequency and error of a line that may as well be fixed; None where several speeds say otherwise."""
-    speed = np.concatenate([line.speed_rpm for line in agreed.lines])
+    speed = agreed.speed_rpm
     if not alike_speeds(speed):
         return None
     rpm = float(speed.mean())
@@ -320,8 +321,12 @@ MOTOR_NUMBERS = MethodNumbers("5-identify-explain.toml", "motors")
 STATED_REACH = Z95 * ORDER_LOCK.stated_speed_error
 """Share by which a stated speed may be off."""
 
-Measured = tuple[float, float]
-"""A frequency in Hz and its standard error."""
+
+class Measured(NamedTuple):
+    """A frequency in Hz and its standard error."""
+
+    hertz: float
+    error_hz: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,9 +359,9 @@ def motor_seen(motor: Motor, held: Sequence[HeldFrames], *, by_shaft: bool, sett
     if measured:  # the error of the mean is no less than the scatter of recordings
         hertz, error = np.array(measured).T
         scatter = float(max(np.sum(error**-2) ** -0.5, hertz.std()))
-        supply = float(np.average(hertz, weights=error**-2)), scatter
+        supply = Measured(float(np.average(hertz, weights=error**-2)), scatter)
     elif motor.supply_hz is not None:
-        supply = motor.supply_hz, settings.mains_tolerance_hz / Z95
+        supply = Measured(motor.supply_hz, settings.mains_tolerance_hz / Z95)
     lines = [line for line in motor_lines(motor) if (measured or line.mains == 0) and (by_shaft or line.turns == 0.0)]
     speeds: list[MotorSpeed] = []
     seen: list[LineSeen] = []
@@ -368,15 +373,15 @@ def motor_seen(motor: Motor, held: Sequence[HeldFrames], *, by_shaft: bool, sett
         if speed is not None and abs(speed.speed_rpm / recording.rpm - 1.0) > STATED_REACH:
             doubts.append((recording.rpm, speed.speed_rpm))
         if speed is None or speed.fits:
-            seen += _seen_in(recording, lines, 0.0 if at is None else at[0])
+            seen += _seen_in(recording, lines, 0.0 if at is None else at.hertz)
     fits = not speeds or any(speed.fits for speed in speeds)
     record = MotorRecord(
-        supply_hz=None if supply is None else supply[0],
-        supply_hz_ci95=None if supply is None else positive_interval(supply[0], Z95 * supply[1]),
+        supply_hz=None if supply is None else supply.hertz,
+        supply_hz_ci95=None if supply is None else positive_interval(supply.hertz, Z95 * supply.error_hz),
         supply_measured=bool(measured),
         poles=motor.poles,
         rotor_bars=motor.rotor_bars,
-        misfit="" if fits or supply is None else _misfit(motor, speeds, supply[0]),
+        misfit="" if fits or supply is None else _misfit(motor, speeds, supply.hertz),
         speeds=tuple(speeds),
         lines=_records(seen),
     )
@@ -402,7 +407,8 @@ def _supply(motor: Motor, held: HeldFrames, by_shaft: bool, settings: IdentifySe
         reach = float(nearest_multiple(middle, middle / multiple, settings=settings)[1])
         line = found_near(held, middle - reach, middle + reach, known=None if by_shaft else [])
         if line is not None:
-            return line[0] / multiple, max(line[1] / multiple, 1e-6)
+            hertz, error = line
+            return Measured(hertz / multiple, max(error / multiple, 1e-6))
     return None
 
 
@@ -410,18 +416,21 @@ def _speed(motor: Motor, held: HeldFrames, supply: Measured, *, by_shaft: bool) 
     """What the motor does in one recording; None without poles, or where nothing tells its speed."""
     if motor.poles is None:
         return None
-    shaft = (held.rpm * motor.shaft_ratio / 60.0, 0.0) if by_shaft else _line_below_field(motor, held, supply[0])
-    if shaft is None:
-        return None
-    synchronous_rpm = motor.synchronous_rpm(supply[0])
-    slip = 1.0 - 60.0 * shaft[0] / synchronous_rpm
-    half = Z95 * float(np.hypot(supply[1] / supply[0], shaft[1] / shaft[0]))
+    shaft = Measured(held.rpm * motor.shaft_ratio / 60.0, 0.0)
+    if not by_shaft:
+        below = _line_below_field(motor, held, supply.hertz)
+        if below is None:
+            return None
+        shaft = below
+    synchronous_rpm = motor.synchronous_rpm(supply.hertz)
+    slip = 1.0 - 60.0 * shaft.hertz / synchronous_rpm
+    half = Z95 * float(np.hypot(supply.error_hz / supply.hertz, shaft.error_hz / shaft.hertz))
     return MotorSpeed(
-        speed_rpm=60.0 * shaft[0] / motor.shaft_ratio,
+        speed_rpm=60.0 * shaft.hertz / motor.shaft_ratio,
         synchronous_rpm=synchronous_rpm,
         slip=slip,
         slip_ci95=(slip - half, slip + half),
-        pole_pass_hz=2.0 * slip * supply[0],
+        pole_pass_hz=2.0 * slip * supply.hertz,
         fits=slip + half >= 0.0 and slip - half <= USUAL_SLIP,
     )
 
@@ -433,18 +442,21 @@ def _line_below_field(motor: Motor, held: HeldFrames, supply_hz: float) -> Measu
     """
     field_hz = motor.synchronous_rpm(supply_hz) / 60.0
     slowest_hz, stated_hz = (1.0 - USUAL_SLIP) * field_hz, held.rpm * motor.shaft_ratio / 60.0
-    near = max(slowest_hz, stated_hz * (1.0 - STATED_REACH)), min(field_hz, stated_hz * (1.0 + STATED_REACH))
-    mains = [Place(supply_hz)]
-    line = found_near(held, slowest_hz, field_hz, known=mains)
-    if line is None or near[0] <= line[0] <= near[1]:
+    low, high = max(slowest_hz, stated_hz * (1.0 - STATED_REACH)), min(field_hz, stated_hz * (1.0 + STATED_REACH))
+    places = mains = [Place(supply_hz)]
+
+    def line_within(begin_hz: float, end_hz: float) -> Measured | None:
+        line = found_near(held, begin_hz, end_hz, known=places) if begin_hz < end_hz else None
+        return None if line is None else Measured(*line)
+
+    line = line_within(slowest_hz, field_hz)
+    if line is None or low <= line.hertz <= high:
         return line
-    known = [*mains, Place(line[0])]
-    stated = found_near(held, *near, known=known) if near[0] < near[1] else None
-    if stated is not None:
+    places = [*mains, Place(line.hertz)]
+    if (stated := line_within(low, high)) is not None:
         return stated
-    other = found_near(held, slowest_hz, field_hz, known=known)
-    if other is not None:
-        pair = sightings(held, [Place(line[0]), Place(other[0]), *mains])[:2]
+    if (other := line_within(slowest_hz, field_hz)) is not None:
+        pair = sightings(held, [Place(line.hertz), Place(other.hertz), *mains])[:2]
         first, second = (0.0 if sighting is None else float(sighting.amplitude.max()) for sighting in pair)
         if second * MOTOR_NUMBERS.stands_out_ratio > first:
             return None
@@ -525,7 +537,7 @@ def _records(lines: Sequence[LineSeen]) -> tuple[LineRecord, ...]:
                 order=seen.sighting.order,
                 speed_rpm=seen.held.rpm,
                 amplitude=size,
-                amplitude_ci95=(max(0.0, size - Z95 * error), size + Z95 * error),
+                amplitude_ci95=size_interval(size, Z95 * error),
                 others=seen.others,
                 n_recordings=1,
             )

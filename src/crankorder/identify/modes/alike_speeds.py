@@ -98,20 +98,17 @@ def with_lines_of_recordings(
     settings : ``mode_speed_ratio``, up to which speeds differ little, and the mains
     """
     speeds = [recording.rpm for recording in held]
-    if len(held) < 2 or len(modal.frequency_hz) < 2 or max(speeds) > settings.mode_speed_ratio * min(speeds):
+    if len(held) < 2 or not modal.step_hz or max(speeds) > settings.mode_speed_ratio * min(speeds):
         return orders, modal
-    step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
-    tones, agreed, changed = list(modal.tones), list(orders), False
-    for low, high in _regions(modal.tones, NEAR_BINS * step):
-        lines = _parted(held, low, high)
-        if not lines:
-            continue
+    regions = _regions(modal.tones, NEAR_BINS * modal.step_hz)
+    parted_in = {region: lines for region in regions if (lines := _parted(held, *region))}
+    if not parted_in:
+        return orders, modal
+    tones, agreed = list(modal.tones), list(orders)
+    for (low, high), lines in parted_in.items():
         tones = [tone for tone in tones if not low <= tone.frequency_hz <= high]
         tones += [tone for line in lines if line.fixed and (tone := _tone(line, settings)).amplitude]
-        changed = True
         agreed = _with_orders(agreed, [line for line in lines if not line.fixed], (low, high), held, order_map)
-    if not changed:
-        return orders, modal
     tones.sort(key=lambda tone: tone.frequency_hz)
     parted = replace(modal, tones=with_one_mains(tones, settings=settings))
     return tuple(sorted(agreed, key=lambda order: order.order)), parted
@@ -259,9 +256,9 @@ def with_tones_parted(modal: ModalFit, held: Sequence[HeldFrames]) -> ModalFit:
     tone, its interval holds all of them and its evidence names them; where it shows that the tone is no single line and
     does not part it, the intervals of frequency and amplitude are as wide as that leaves open.
     """
-    if len(modal.frequency_hz) < 2 or not modal.tones:
+    step = modal.step_hz
+    if not step or not modal.tones:
         return modal
-    step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
     longest = max(held, key=lambda recording: recording.span_rev, default=None)
     lines = {tone.frequency_hz: _lines_near(longest, tone.frequency_hz, NEAR_BINS * step) for tone in modal.tones}
     kept = [
@@ -288,16 +285,15 @@ def without_absent_mains(modal: ModalFit, held: Sequence[HeldFrames], *, setting
     be mains or an order is an order where most recordings whose shaft has none there do not show it.
     ``settings``: the mains frequencies and how far they wander.
     """
-    if len(modal.frequency_hz) < 2:
+    if not modal.step_hz:
         return modal
-    step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
     mains = [tone for tone in modal.tones if tone.kind == "mains"]
     alone_hz = MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
     supplies = [tone for tone in mains if not tone.frequency_hz > alone_hz]
     high = [tone for tone in mains if tone not in supplies]
     doubted = [tone for tone in high if not any(_is_multiple(tone, supply, settings) for supply in supplies)]
     doubted += [tone for tone in modal.tones if tone.kind == "mains or order"]
-    tones = [_unless_absent(tone, held, step) if tone in doubted else tone for tone in modal.tones]
+    tones = [_unless_absent(tone, held, modal.step_hz) if tone in doubted else tone for tone in modal.tones]
     return replace(modal, tones=tuple(tones))
 
 
@@ -383,12 +379,6 @@ def without_doubles(modal: ModalFit) -> ModalFit:
 
     Lines closer than the main lobe of the window are one in the map; such a one is what the fit of the stronger left.
     """
-    if len(modal.frequency_hz) < 2:
-        return modal
-    reach = NEAR_BINS * float(modal.frequency_hz[1] - modal.frequency_hz[0])
-    kept = tuple(
-        tone
-        for tone in modal.tones
-        if "order" not in tone.kind or not any(_is_flank(tone, other, reach) for other in modal.tones)
-    )
-    return replace(modal, tones=kept)
+    reach = NEAR_BINS * modal.step_hz
+    flanks = [tone for tone in modal.tones if any(_is_flank(tone, other, reach) for other in modal.tones)]
+    return replace(modal, tones=tuple(t for t in modal.tones if "order" not in t.kind or t not in flanks))

@@ -170,12 +170,11 @@ def held_peak(modal: ModalFit, order: float, channel: str, *, largest_rpm: float
         and response.channel == channel
         and abs(response.order - order) <= ORDER_BLOCKS.same_order_share * order
     ]
-    peaks = [peak_of(response, modal) for response in near]
-    spans = [response.force.span_rpm for response in near]
-    if not any(low <= largest_rpm <= high for low, high in spans):
+    if not any(response.passes(largest_rpm) for response in near):
         return None
+    peaks = [peak_of(response, modal) for response in near]
     worst = max(peaks, key=lambda peak: peak.amplitude)
-    passing = [peak for peak, (low, high) in zip(peaks, spans, strict=True) if low <= worst.rpm <= high]
+    passing = [peak for peak, response in zip(peaks, near, strict=True) if response.passes(worst.rpm)]
     return min(passing, key=lambda peak: peak.share)
 
 
@@ -279,10 +278,8 @@ class Hiding:
         for name in dict.fromkeys(unit[channel] for channel in self.channels):
             own = np.array([unit[channel] == name for channel in self.channels])
             least = np.maximum(self.noise[own].max(axis=0), matters.get(name, 0.0))
-            without = np.maximum(self.base[own].max(axis=0), least)
-            most = np.maximum(
-                most, np.maximum((self.base + self.added)[own].max(axis=0), least) / np.maximum(without, 1e-300)
-            )
+            without, whole = (np.maximum(of[own].max(axis=0), least) for of in (self.base, self.base + self.added))
+            most = np.maximum(most, whole / np.maximum(without, 1e-300))
         return most
 
 
@@ -313,12 +310,8 @@ def floor_bound(problem: Problem, model: Floats, *, poles: Poles, settings: Iden
     others. A resonance of the least damping of the ``settings`` fills a share of a bin; what stands over the model, and
     as much more as its scatter hides at their confidence, is its power.
     """
-    clear = [
-        float((model[:, at] / np.median(model, axis=1)).max())
-        for f in poles.frequency_hz
-        if 0 <= (at := int(np.argmin(np.abs(problem.frequency_hz - f)))) < len(problem.frequency_hz)
-    ]
-    if max(clear, default=0.0) < EXCLUSION.shaken_ratio:
+    at = np.abs(problem.frequency_hz - poles.frequency_hz[:, None]).argmin(axis=1)
+    if (model[:, at] / np.median(model, axis=1)[:, None]).max(initial=0.0) < EXCLUSION.shaken_ratio:
         return None
     used = problem.averages > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -105,14 +105,9 @@ def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tup
     return power_law(speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen])
 
 
-def seen_all_around(line: OrderLine, rpm: float, tested: Floats) -> bool:
-    """Whether ``line`` stands out at most of the speeds ``tested`` (n,) in rpm around ``rpm``.
-
-    Where it hides in the floor, its trend is too high.
-    """
-    around = np.abs(np.log(tested / rpm)) < TREND_NUMBERS.beside_log_ratio
-    seen = np.abs(np.log(line.speed_rpm / rpm)) < TREND_NUMBERS.beside_log_ratio
-    return bool(np.count_nonzero(seen) >= TREND_NUMBERS.mostly_seen_share * np.count_nonzero(around))
+def _count_around(rpm: float, speeds_rpm: Floats) -> int:
+    """How many of ``speeds_rpm`` (n,) are beside ``rpm``."""
+    return int(np.count_nonzero(np.abs(np.log(speeds_rpm / rpm)) < TREND_NUMBERS.beside_log_ratio))
 
 
 LAW_NUMBERS = MethodNumbers("5-identify-explain.toml", "order_trend")
@@ -225,8 +220,7 @@ def crossings(
     """
     if not (np.isfinite(speed_rpm[0]) and np.isfinite(speed_rpm[1])):
         return ()
-    speeds = [line.speed_rpm for agreed in orders for line in agreed.lines]
-    tested = np.unique(np.concatenate(speeds)) if speeds else np.zeros(0)  # at which any order was seen
+    tested = np.unique([rpm for agreed in orders for rpm in agreed.speed_rpm])  # at which any order was seen
     met: list[tuple[Crossing, list[Seen]]] = []
     for agreed in orders:
         for number, fit, whirl in _met_by(agreed.order, modal):
@@ -236,12 +230,10 @@ def crossings(
             seen = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
             seen += [test for of in responses_to(agreed.order, fit) for test in _by_residue(of, number, fit)]
             met.append((_measured(crossing, agreed, number, seen, fit, tested, near), seen))
-    missing = [
-        order for order in stated if all(abs(order - own.order) > NUMBERS.same_stated_share * order for own in orders)
-    ]
     unmeasured = [
         _unmeasured(order, fit.modes[number], whirl, speed_rpm, settings)
-        for order in missing
+        for order in stated
+        if all(abs(order - own.order) > NUMBERS.same_stated_share * order for own in orders)
         for number, fit, whirl in _met_by(order, modal)
     ]
     return tuple(sorted(_decided(met) + unmeasured, key=lambda met: (met.finding.rpm, met.finding.order)))
@@ -310,18 +302,19 @@ def _measured(
     speeds in rpm, of which those within ``near`` count as at the crossing.
     """
     mode, whirl, finding = crossing.mode, crossing.whirl, crossing.finding
-    relative = [mode.frequency_error_hz / mode.frequency_hz, agreed.order_error / agreed.order]
-    error = float(np.hypot(relative[0], relative[1]))
+    of_order, freedom = agreed.order_error / agreed.order, ENDLESS_FREEDOM
+    error = float(np.hypot(mode.frequency_error_hz / mode.frequency_hz, of_order))
     # the order's error has few degrees of freedom, the mode's many (Welch and Satterthwaite)
-    freedom = ENDLESS_FREEDOM
-    if relative[1] > 0.0 and agreed.degrees_of_freedom > 0.0:
-        freedom = min(freedom, agreed.degrees_of_freedom * (error / relative[1]) ** 4)
+    if of_order > 0.0 and agreed.degrees_of_freedom > 0.0:
+        freedom = min(freedom, agreed.degrees_of_freedom * (error / of_order) ** 4)
     half = finding.rpm * error * half_width(freedom)
     fitted = [response for response in responses_to(agreed.order, modal) if response.fits]
+    ratios, quality = [amplification(response, number, modal) for response in fitted], _quality_factor(mode)
     finding = replace(
         finding,
         rpm_ci95=_ends_rpm(finding.rpm, half, agreed.order, whirl),
-        amplification_predicted=_predicted(fitted, number, modal),
+        # beyond that the fit says that hardly anything is left without the mode, which is no amplification
+        amplification_predicted=min(max(ratios, default=quality), quality),
         predicted_from="fit" if fitted else "damping",
         channels=tuple(line.channel for line in agreed.lines),
     )
@@ -341,8 +334,12 @@ def _measured(
     rpm, least = finding.rpm, NUMBERS.clearly_excited_ratio
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     quiet = resolved and bool(trends) and max(excess.ratio_high for excess in trends) < least
-    quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
-    known = [fit for fit in fitted if number in fit.reached and fit.force.span_rpm[0] <= rpm <= fit.force.span_rpm[1]]
+    # where a line hides in the floor around the crossing, its trend is too high
+    around = _count_around(rpm, tested)
+    quiet &= all(
+        _count_around(rpm, line.speed_rpm) >= TREND_NUMBERS.mostly_seen_share * around for line in agreed.lines
+    )
+    known = [fit for fit in fitted if number in fit.reached and fit.passes(rpm)]
     if {fit.channel for fit in known} >= {line.channel for line in agreed.lines} and known:
         ends = [_beside_mode(fit, number, modal).ends(half_width(float(fit.degrees_of_freedom)))[1] for fit in known]
         quiet |= max(float(high.max()) for high in ends) < least
@@ -367,14 +364,9 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     does not hold the mode, or not that speed, or where its damping is not known.
     """
     mode = modal.modes[number]
-    if mode.damping_error > ORDER_MODES.known_share * mode.damping_ratio:
-        return None
-    rpm = 60.0 * mode.frequency_hz / response.order
-    if (
-        not response.fits
-        or number not in response.reached
-        or not response.force.span_rpm[0] <= rpm <= response.force.span_rpm[1]
-    ):
+    rpm, is_known = 60.0 * mode.frequency_hz / response.order, number in response.reached
+    is_known &= mode.damping_error <= ORDER_MODES.known_share * mode.damping_ratio
+    if not (is_known and response.fits and response.passes(rpm)):
         return None
     both = _beside_mode(response, number, modal)
     sigmas, least = half_width(float(response.degrees_of_freedom)), float(both.least[0])
@@ -393,17 +385,6 @@ def higher(trend: Seen, by_fit: Sequence[Seen]) -> Seen:
     """The largest of the excesses ``by_fit`` where its interval lies above that of the ``trend``; else the trend's."""
     above = [excess for excess in by_fit if excess.ratio_low > trend.ratio_high]
     return max(above, key=lambda excess: excess.ratio_low, default=trend)
-
-
-def _predicted(fitted: list[OrderResponse], number: int, modal: ModalFit) -> float:
-    """Largest ratio, of all channels, of the response with the mode to that without it, at its natural frequency.
-
-    1 / (2 ζ) where nothing was ``fitted``, and at most: what a mode makes of a force, seen against its own stiffness.
-    """
-    ratios = [amplification(response, number, modal) for response in fitted]
-    quality = _quality_factor(modal.modes[number])
-    # beyond that the fit says that hardly anything is left without the mode, which is no amplification
-    return min([max(ratios), quality]) if ratios else quality
 
 
 def amplification(response: OrderResponse, number: int, modal: ModalFit) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from scipy.special import ndtri
@@ -194,14 +194,11 @@ def _cost(
         times = None  # less than makes a speed one to avoid
     of_whirl = "" if crossing.whirl is None else f" of a whirl that moves by {crossing.whirl.slope:.3g} orders"
     undecided = ", which may be a natural frequency" if mode.undecided else ""
-    return AvoidedSpeed(
-        rank=1,
+    return _to_avoid(
+        finding.order,
+        finding.mode_hz,
         rpm=finding.rpm,
         rpm_range=rpm_range,
-        order=finding.order,
-        orders=(finding.order,),
-        mode_hz=finding.mode_hz,
-        modes_hz=(finding.mode_hz,),
         channel=channel,
         amplitude=None if peak is None else peak.amplitude,
         amplitude_ci95=None if peak is None else peak.ends,
@@ -212,6 +209,11 @@ def _cost(
         cost=shares.get(channel, 0.0),
         reason=f"order {finding.order:.4g} meets {finding.mode_hz:.4g} Hz{of_whirl}{undecided}",
     )
+
+
+def _to_avoid(order: float, mode_hz: float, **seen: Any) -> AvoidedSpeed:
+    """Record, not ranked yet, of where an ``order`` alone meets ``mode_hz`` and of what was ``seen`` there."""
+    return AvoidedSpeed(rank=1, order=order, orders=(order,), mode_hz=mode_hz, modes_hz=(mode_hz,), **seen)
 
 
 def _peaks(
@@ -242,7 +244,7 @@ def _peaks(
 def _fitted_peak(response: OrderResponse, rpm: float, rpm_range: Ends, modal: ModalFit, mode: Mode) -> HeldPeak | None:
     """Peak that ``mode`` makes at ``rpm`` by the fit ``response``; None where that does not know it."""
     is_known = response.fits and mode.damping_error <= ORDER_MODES.known_share * mode.damping_ratio
-    if not is_known or not response.force.span_rpm[0] <= rpm <= response.force.span_rpm[1]:
+    if not is_known or not response.passes(rpm):
         return None
     peak = peak_of(response, modal, rpm_range)
     if peak.rpm in rpm_range:  # the flank of another mode, which is larger than this peak
@@ -376,8 +378,8 @@ def _by_shown(orders: AgreedOrders, modal: ModalFit, settings: IdentifySettings)
             continue
         name = f"order {order:.4g}, which only the spectrum of the sweep shows,"
         for mode in modal.modes:
-            ends = (mode.frequency_hz - mode.frequency_half_hz, mode.frequency_hz + mode.frequency_half_hz)
-            low, high = _amplifying((60.0 * ends[0] / order, 60.0 * ends[1] / order), settings.free_amplification)
+            begin, end = (60.0 * hertz / order for hertz in mode.frequency_ends)
+            low, high = _amplifying((begin, end), settings.free_amplification)
             bands.append(_open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"))
         for bound in modal.unseen:
             bands += _between(bound, settings.free_amplification, name) if _is_order(order, bound.order) else []
@@ -470,14 +472,11 @@ def lone_peaks(
             near = [mode.frequency_hz for mode in modal.modes if below < 60.0 * mode.frequency_hz / order < above]
             mode_hz = min(near, key=lambda mode_hz: abs(mode_hz - hz), default=hz)
             where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
-            peak = AvoidedSpeed(
-                rank=1,
+            peak = _to_avoid(
+                order,
+                mode_hz,
                 rpm=rpm,
                 rpm_range=(0.5 * (below + rpm), 0.5 * (rpm + above)),
-                order=order,
-                orders=(order,),
-                mode_hz=mode_hz,
-                modes_hz=(mode_hz,),
                 channel=channel,
                 amplitude=worst.amplitude,
                 amplitude_ci95=(worst.low, worst.high),
