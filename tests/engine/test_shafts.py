@@ -19,6 +19,7 @@ from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_mom
 from crankorder.engine.forces import Z as Z_ERRORS
 from crankorder.engine.shaft_design import designs
 from crankorder.engine.shafts import (
+    BalanceTolerances,
     Gear,
     GearTolerances,
     GearTrain,
@@ -29,20 +30,17 @@ from crankorder.engine.shafts import (
     pair_rounding_g_mm,
     parts_unbalance_g_mm,
     residual_along,
+    series_residuals,
     shaft_layout,
+    tolerance_sentences,
     tolerance_study,
     weight_moments,
     weighted_wheels,
     wheels_couple,
     wheels_force,
-)
-from crankorder.engine.slider_crank import SliderCrank
-from crankorder.engine.tolerance_study import (
-    BalanceTolerances,
-    series_residuals,
-    tolerance_sentences,
     with_single_shafts,
 )
+from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import ManyErrors, RequestError
 
 ANGLES = np.arange(360) / 360

@@ -22,7 +22,7 @@ from crankorder import plot
 from crankorder.channel_units import by_channel
 from crankorder.errors import RequestError
 from crankorder.plot import palette
-from crankorder.plot.cells import bin_edges, pooled
+from crankorder.plot.campbell_figure import bin_edges, pooled
 from crankorder.plot.drawing import Drawing, Field, Words
 from crankorder.plot.painter import PaintedPanel
 from crankorder.plot.reading import order_texts

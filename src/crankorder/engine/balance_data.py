@@ -20,6 +20,7 @@ from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.gas import firing_intervals_deg
 from crankorder.engine.machine_parts import NOT_EMPTY, EngineData, Positive
 from crankorder.engine.shafts import (
+    BalanceTolerances,
     GearTolerances,
     GearTrain,
     Series,
@@ -33,7 +34,6 @@ from crankorder.engine.shafts import (
     wheels_force,
 )
 from crankorder.engine.slider_crank import SliderCrank, acceleration_harmonics
-from crankorder.engine.tolerance_study import BalanceTolerances
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.records import Record, said
 from crankorder.settings import toml_table, validation_fault

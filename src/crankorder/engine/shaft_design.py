@@ -14,8 +14,8 @@ from crankorder.engine.balance_data import Amounts, BalancedEngine, newton, spee
 from crankorder.engine.balancing import OrderForce
 from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, Weight
 from crankorder.engine.forces import CANCELLED, DIRECTIONS, X, Z, crankcase_forces, crankcase_moments
+from crankorder.engine.shafts import SeriesResiduals, series_residuals
 from crankorder.engine.slider_crank import acceleration_harmonics
-from crankorder.engine.tolerance_study import SeriesResiduals, series_residuals
 from crankorder.errors import plain_number
 from crankorder.records import Record, said
 

@@ -18,9 +18,8 @@ from crankorder.engine.machine_parts import bearing_orders
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import shipped, toml_table, validation_fault
 from crankorder.synth.analogue import analogue_filter
-from crankorder.synth.crank import crank_motion, other_motion
 from crankorder.synth.driven import MEMORY
-from crankorder.synth.lines import ringing_s
+from crankorder.synth.lines import crank_motion, other_motion, ringing_s
 from crankorder.synth.order_forces import ENDLESS
 from crankorder.synth.parts import INDEX, TRACE, CrankAngleSampling, TimeSampling
 from crankorder.synth.poles import poles_of

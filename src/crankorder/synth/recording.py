@@ -11,14 +11,17 @@ from crankorder.engine.machine_parts import bearing_orders
 from crankorder.quantities import Complexes, Floats
 from crankorder.records import Json
 from crankorder.synth.analogue import Recorded, recorded
-from crankorder.synth.crank import begun_earlier, crank_motion, gain_of_cycle, other_motion
 from crankorder.synth.driven import driven_signal
 from crankorder.synth.encoder import EncoderSignals, encoder_signals
 from crankorder.synth.lines import (
+    begun_earlier,
     crank_forces,
+    crank_motion,
     driven_lines,
     fixed_lines,
+    gain_of_cycle,
     modulation,
+    other_motion,
     ringing,
     ringing_s,
     shaft_forces,

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
+from crankorder.plot.painter import axes_at, house_style, log_axis, new_figure, note, quiet_frame, title_lines, write
 from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable
 from crankorder.plot.reading import number_text, order_text
-from crankorder.plot.style import axes_at, house_style, log_axis, new_figure, note, quiet_frame, title_lines, write
 from crankorder.quantities import Complexes, Floats
 from crankorder.report.balance.dataset import SYSTEMS, order_sum
 from crankorder.report.balance.look import (

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from crankorder.plot.drawing import Box as Box
+from crankorder.plot.painter import axes_at, quiet_frame, write
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, text_width_in
 from crankorder.plot.reading import listed
-from crankorder.plot.style import axes_at, quiet_frame, write
 from crankorder.report.balance.dataset import PLAIN, SYSTEMS
 
 COUNTERWEIGHTS = ("none", "a", "b", "c", "d")
