@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
 from crankorder.synth import driven
-from crankorder.synth.analogue import low_pass
 from crankorder.synth.driven import (
     STENCILS,
     Integration,
@@ -21,7 +20,7 @@ from crankorder.synth.driven import (
 )
 from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines
-from crankorder.synth.poles import Poles, Structure, accelerance, poles_of, steady_state
+from crankorder.synth.poles import Poles, Structure, accelerance, low_pass, poles_of, steady_state
 from made.structures import frequency_response
 
 RATE_HZ = 5000.0

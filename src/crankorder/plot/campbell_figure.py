@@ -307,7 +307,15 @@ def draw_findings(panel: Panel, levels: LevelMap, findings: Findings, channel: s
     _draw_orders(panel, levels, orders, findings)
     _draw_modes(panel, levels, modes, channel)
     circles = not levels.timeless and _draw_crossings(panel, levels, findings, channel)
-    _draw_notes(panel, levels)
+    low, high = panel.y
+    for start, end in gaps_between(levels.cells):
+        start, end = max(start, low), min(end, high)
+        if (end - start) * panel.box[3] > 0.3 * (high - low):
+            panel.note("not measured", up=float(panel.share((start + end) / 2)))
+    if not len(levels.speed):
+        panel.note("nothing was measured")
+    elif not np.any(levels.amplitude > 0):
+        panel.note("no signal: every value is zero")
     _label_edges(panel, levels, orders, modes, findings)
     if guides:
         keys = [Key("order, for orientation", FAINT)]
@@ -337,18 +345,6 @@ def is_of_cycle(record: OrderFinding | Guide) -> bool:
     if not isinstance(record, OrderFinding) or not record.half_order:
         return False
     return not {"gas cycle", "half order of the four-stroke cycle"}.isdisjoint(record.kinds)
-
-
-def _draw_notes(panel: Panel, levels: LevelMap) -> None:
-    low, high = panel.y
-    for start, end in gaps_between(levels.cells):
-        start, end = max(start, low), min(end, high)
-        if (end - start) * panel.box[3] > 0.3 * (high - low):
-            panel.note("not measured", up=float(panel.share((start + end) / 2)))
-    if not len(levels.speed):
-        panel.note("nothing was measured")
-    elif not np.any(levels.amplitude > 0):
-        panel.note("no signal: every value is zero")
 
 
 def _draw_orders(panel: Panel, levels: LevelMap, orders: Sequence[OrderFinding | Guide], findings: Findings) -> None:

@@ -211,7 +211,14 @@ def shapes_figure(shapes: xr.Dataset, findings: Findings, *, settings: ReportSet
     """
     with house_style():
         at_speed = shapes.isel(speed=_loudest_speed(shapes))
-        orders = _strongest(at_speed)
+        amplitude = np.nan_to_num(at_speed.amplitude.transpose("channel", "order").values)
+        low = at_speed.amplitude_ci95.transpose("channel", "order", "bound").values[..., 0]
+        swing = np.ptp(at_speed.phase_ci95.transpose("channel", "order", "bound").values, axis=-1)
+        clear = np.where((low <= 0.0) | (swing >= 2.0 * _NO_PHASE), 0.0, amplitude)
+        largest = clear.max(axis=1, initial=0.0)
+        share = (clear / np.where(largest > 0.0, largest, 1.0)[:, None]).max(axis=0, initial=0.0)
+        kept = [int(place) for place in np.argsort(-share, kind="stable") if share[place] > 0.0][:_ORDERS]
+        orders = sorted(kept, key=lambda place: float(at_speed.order.values[place]))
         channels = range(at_speed.sizes["channel"])
         blocks = [channels[first : first + _CHANNELS] for first in range(0, len(channels), _CHANNELS)]
         cell_width = min((settings.width_in - _NAMES_IN - _EDGE_IN) / min(max(len(channels), 1), _CHANNELS), 3.3)
@@ -248,18 +255,6 @@ def _loudest_speed(shapes: xr.Dataset) -> int:
     largest = amplitude.max(axis=(1, 2), initial=0.0)
     share = amplitude / np.where(largest > 0.0, largest, 1.0)[:, None, None]
     return int(np.argmax(share.max(axis=1, initial=0.0).sum(axis=0)))
-
-
-def _strongest(at_speed: xr.Dataset) -> list[int]:
-    """Places of the orders to show, ascending: those clear in any channel, by their share of a channel's largest."""
-    amplitude = np.nan_to_num(at_speed.amplitude.transpose("channel", "order").values)
-    low = at_speed.amplitude_ci95.transpose("channel", "order", "bound").values[..., 0]
-    swing = np.ptp(at_speed.phase_ci95.transpose("channel", "order", "bound").values, axis=-1)
-    clear = np.where((low <= 0.0) | (swing >= 2.0 * _NO_PHASE), 0.0, amplitude)
-    largest = clear.max(axis=1, initial=0.0)
-    share = (clear / np.where(largest > 0.0, largest, 1.0)[:, None]).max(axis=0, initial=0.0)
-    kept = [int(place) for place in np.argsort(-share, kind="stable") if share[place] > 0.0][:_ORDERS]
-    return sorted(kept, key=lambda place: float(at_speed.order.values[place]))
 
 
 def _shapes_subtitle(shapes: xr.Dataset, shown: int) -> str:

@@ -229,7 +229,10 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
     first = next((groups[name] for name in (*_TITLES, "order_tracks") if name in groups), None)
     if first is None:
         return ""
-    channels = _channels(first, settings)
+    names, units = (first[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit"))
+    names = [named(name, limit=settings.max_name_characters) for name in names]
+    levels = (channel_level(first, number, settings=settings) for number in range(len(names)))
+    channels = [LiveChannel(n, unit_text(unit), *level) for n, unit, level in zip(names, units, levels, strict=True)]
     maps = [_map(name, groups[name], channels, settings) for name in _TITLES if name in groups]
     tracks = _tracks(groups.get("order_tracks"), len(channels), limit=settings.max_labelled_orders)
     if not any(maps) and tracks is None:
@@ -245,13 +248,6 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
     }  # fmt: skip
     text = json.dumps(document, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _channels(dataset: xr.Dataset, settings: ReportSettings) -> list[LiveChannel]:
-    names, units = (dataset[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit"))
-    names = [named(name, limit=settings.max_name_characters) for name in names]
-    levels = (channel_level(dataset, number, settings=settings) for number in range(len(names)))
-    return [LiveChannel(n, unit_text(unit), *level) for n, unit, level in zip(names, units, levels, strict=True)]
 
 
 def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: ReportSettings) -> Record | None:

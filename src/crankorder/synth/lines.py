@@ -17,12 +17,11 @@ from crankorder.engine.slider_crank import piston_velocity, rod_angle, sine_cosi
 from crankorder.engine.torsional_fluctuation import Lag, lag_from_torque, lag_of_speed
 from crankorder.errors import RequestError
 from crankorder.quantities import Complexes, Floats, Ints
-from crankorder.synth.analogue import POLES_APART, AnalogueFilter
 from crankorder.synth.motion import Motion, wander_wobbles
 from crankorder.synth.noise import seed_stream
 from crankorder.synth.order_forces import ForceLines, lines_in_angle, lines_in_time
 from crankorder.synth.parts import AXES, OtherShaft, SpeedOrder, TimeSampling
-from crankorder.synth.poles import accelerance
+from crankorder.synth.poles import POLES_APART, AnalogueFilter, accelerance
 from crankorder.synth.scene import Run, Scene
 
 LEAST_STEP, MOST_STEPS = 0.01, 10_000

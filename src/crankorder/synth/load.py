@@ -17,12 +17,11 @@ from crankorder.engine.gas import gas_torque_by_order
 from crankorder.engine.machine_parts import bearing_orders
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import shipped, toml_table, validation_fault
-from crankorder.synth.analogue import analogue_filter
 from crankorder.synth.driven import MEMORY
 from crankorder.synth.lines import crank_motion, other_motion, ringing_s
 from crankorder.synth.order_forces import ENDLESS
 from crankorder.synth.parts import INDEX, TRACE, CrankAngleSampling, TimeSampling
-from crankorder.synth.poles import poles_of
+from crankorder.synth.poles import analogue_filter, poles_of
 from crankorder.synth.scene import Scene
 from crankorder.synth.signal_faults import impossible_faults
 

@@ -148,7 +148,13 @@ def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> 
     with house_style():
         speed = float(cycle["speed"].values.max())
         shown = cycle.sel(speed=speed)
-        polar = _polar_loads(shown)
+        # polar load curves [N]: first crank pin, then every main bearing
+        pin = shown["crank_pin_load"].isel(cylinder=0).values
+        polar = [_PolarLoad("crank pin of cylinder 0", pin[0], pin[1], "up: along the cylinder, right: across")]
+        if "main_bearing_load" in shown:
+            for place, (x, z) in zip(shown["bearing"].values, shown["main_bearing_load"].values, strict=True):
+                at = f"{1e3 * float(place):.4g}".replace("-", "−")
+                polar.append(_PolarLoad(f"main bearing at {at} mm", z, x, "up: Z, right: X"))
         columns = min(_MOST_COLUMNS, len(polar))
         width = settings.width_in - _LEFT - _RIGHT
         step = width / columns
@@ -189,17 +195,6 @@ class _PolarLoad:
     @property
     def peak_n(self) -> float:
         return float(np.hypot(self.up, self.right).max())
-
-
-def _polar_loads(shown: xr.Dataset) -> list[_PolarLoad]:
-    """Polar load curves [N]: first crank pin, then every main bearing."""
-    pin = shown["crank_pin_load"].isel(cylinder=0).values
-    loads = [_PolarLoad("crank pin of cylinder 0", pin[0], pin[1], "up: along the cylinder, right: across")]
-    if "main_bearing_load" in shown:
-        for place, (x, z) in zip(shown["bearing"].values, shown["main_bearing_load"].values, strict=True):
-            at = f"{1e3 * float(place):.4g}".replace("-", "−")
-            loads.append(_PolarLoad(f"main bearing at {at} mm", z, x, "up: Z, right: X"))
-    return loads
 
 
 def _polar(figure: Figure, box: Box, load: _PolarLoad, frame: float, color: str) -> None:
