@@ -187,7 +187,7 @@ def rendered_page(template: str, *, has_script: bool = False, **values: object) 
     scripts = f"; script-src {_digest(script)}" if script else ""
     policy = f"default-src 'none'; img-src {pictures}; style-src {_digest(style)}{scripts}"
     policy += "; base-uri 'none'; form-action 'none'"
-    page = _TEMPLATES.get_template(template)
+    page = TEMPLATES.get_template(template)
     return page.render(policy=policy, style=Markup(style), script=Markup(script), **values)
 
 
@@ -196,9 +196,10 @@ def _own_file(name: str) -> str:
     return files("crankorder.report").joinpath(name).read_text(encoding="utf-8")
 
 
-_TEMPLATES = Environment(
+TEMPLATES = Environment(
     loader=FunctionLoader(_own_file), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
+"""Templates of this room, which escape every text."""
 
 
 def _digest(text: str) -> str:

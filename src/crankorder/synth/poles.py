@@ -21,7 +21,8 @@ MAX_ORDER = 12
 """Of a Butterworth filter: its residues reach some hundred times the corner, which still costs 2 of 16 digits only."""
 
 POLES_APART = 1e-6
-"""Smallest distance of two poles, relative to the larger: nearer ones would cost more than 6 of 16 digits."""
+"""Smallest distance of two poles, relative to the larger: nearer ones would cost more than 6 of 16 digits, for the
+residues of partial fractions grow as the inverse of the distance and then cancel."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -279,11 +280,6 @@ def tones(amplitude: Complexes, frequency_hz: Floats, *, rate_hz: float, n_sampl
     return summed[:, :n_samples]
 
 
-CLOSEST = 1e-6
-"""Distance of a mode from a pole of the filter, as a share of either, below which partial fractions lose their digits:
-residues grow as the inverse of the distance and then cancel."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Poles:
     """Acceleration a = Re Σ output · z + direct · f under forces f, where each ż = pole · z + Σ input · f.
@@ -336,8 +332,8 @@ def _behind(modes: Poles, structure: Structure, filter: AnalogueFilter) -> Poles
     """Modes with the filter in series: each pole's residue times what the other system is there."""
     pole, residue = filter.pole_per_s, filter.residue
     apart = np.abs(modes.pole_per_s[:, None] - pole)
-    if np.any(apart < CLOSEST * np.abs(pole)):
-        mode = int(np.argwhere(apart < CLOSEST * np.abs(pole))[0, 0])
+    if np.any(apart < POLES_APART * np.abs(pole)):
+        mode = int(np.argwhere(apart < POLES_APART * np.abs(pole))[0, 0])
         found = f"{structure.frequency_hz[mode]:g} Hz with damping ratio {structure.damping_ratio[mode]:g}"
         remedy = "Shift the mode or the corner of the filter by a millionth or more"
         raise RequestError("a mode and the analogue filter have the same pole", found=found, remedy=remedy)
