@@ -27,10 +27,9 @@ from crankorder.engine.hinged_crank import (
     potential_torque,
     rod_motion,
 )
+from crankorder.engine.slider_crank import Angles
 from crankorder.errors import RequestError
 from crankorder.records import Record, said
-
-Angles = NDArray[np.float64]
 
 PinHinge = Literal["full", "potential", "printed"]
 """What the hinge at the crank pin gives. ``"full"``: all of M12, so that no side force is left; only where G = 0 can a

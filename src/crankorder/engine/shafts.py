@@ -1,7 +1,11 @@
-"""Balance shafts and geared reverse cranks: what they must carry, what they and their faults leave, tables of parts."""
+"""Balance shafts and geared reverse cranks: what they must carry, what they and their faults leave, tables of parts.
+
+What errors of masses, pins and shaft timing leave of a balanced engine.
+"""
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -97,15 +101,11 @@ def opposing_pair(x_g_mm: complex, *, order: float) -> tuple[Shaft, Shaft]:
     ``x_g_mm``: complex amplitude over ω². ``order``: of that force, > 0. Source: Task 5, equations (5.27) to (5.29).
     """
     unbalance = abs(x_g_mm) / (2 * order**2)  # the squared speed ratio makes it force
-    lead = _lead_deg(x_g_mm)
+    lead = math.degrees(cmath.phase(x_g_mm))
     return (
         Shaft(speed_ratio=float(order), unbalance_g_mm=unbalance, phase_deg=180.0 + lead),
         Shaft(speed_ratio=-float(order), unbalance_g_mm=unbalance, phase_deg=180.0 - lead),
     )
-
-
-def _lead_deg(force_g_mm: complex) -> float:
-    return math.degrees(math.atan2(force_g_mm.imag, force_g_mm.real))
 
 
 def shaft_layout(masses: ReducedMasses, possibility: Possibility, *, max_order: int) -> ShaftLayout:
@@ -125,7 +125,9 @@ def shaft_layout(masses: ReducedMasses, possibility: Possibility, *, max_order: 
         shafts += opposing_pair(by_order[1].x_g_mm, order=1)
     if possibility in ("4", "4+2") and 1 in by_order:
         size = by_order[1].reverse_g_mm
-        shafts += (Shaft(speed_ratio=-1.0, unbalance_g_mm=abs(size), phase_deg=180.0 + _lead_deg(size)),)
+        shafts += (
+            Shaft(speed_ratio=-1.0, unbalance_g_mm=abs(size), phase_deg=180.0 + math.degrees(cmath.phase(size))),
+        )
     if possibility in ("2", "3", "4+2") and 2 in by_order:
         shafts += opposing_pair(by_order[2].x_g_mm, order=2)
     residual = sum_by_order([*left, *(shaft.force for shaft in shafts)])
@@ -356,7 +358,6 @@ def tolerance_study(train: GearTrain, masses: ReducedMasses, tolerances: GearTol
     return ToleranceStudy(orders=orders, along_g_mm=along_g_mm, across_g_mm=across_g_mm, couple_g_mm2=np.abs(couple))
 
 
-Floats = NDArray[np.float64]
 Parts = NDArray[np.complex128]
 """Direct and reverse part by sample and order 1, 2, …: shape (2, sample, order)."""
 
@@ -388,11 +389,11 @@ class BalanceTolerances(EngineData):
 class Errors:
     """Errors of a series of engines, by sample and cylinder, weight of a shaft or shaft."""
 
-    mass_g: Floats
+    mass_g: NDArray[np.float64]
     throw_g_mm: Complex
-    pin_rad: Floats
-    weight_share: Floats
-    gear_rad: Floats
+    pin_rad: NDArray[np.float64]
+    weight_share: NDArray[np.float64]
+    gear_rad: NDArray[np.float64]
 
 
 def with_single_shafts(engine: Engine, max_order: int) -> Engine:
@@ -524,7 +525,7 @@ def _add(parts: Complex, direct: Complex | float, reverse: Complex | float, posi
         parts[row, 1, :, at] += lever * reverse
 
 
-def _most(parts: Parts) -> Floats:
+def _most(parts: Parts) -> NDArray[np.float64]:
     """Largest of a turn, (sample, order)."""
     return np.asarray(np.abs(parts[0]) + np.abs(parts[1]))
 

@@ -1,4 +1,4 @@
-"""Labels at the edges of a diagram that never overlap, each tied to its place; its head, and keys at its foot."""
+"""Labels at the edges of a diagram that never overlap, each tied to its place; its head, keys, and marks of lines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What a drawing is made of, drawn with a renderer of matplotlib: no axes, figure or artist, nothing measured anew."""
+"""The look of the pictures that matplotlib draws: type, margins, text that stays text; and how a drawing is painted.
+
+A drawing is painted with a renderer of matplotlib: no axes, figure or artist, nothing measured anew.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The average engine cycle of every channel against crank angle, at a few speeds."""
+"""Grids of a test's channels: the average engine cycle at a few speeds, and the operating shapes at one.
+
+A shape is a phasor for every order and channel, with its numbers.
+"""
 
 from __future__ import annotations
 
@@ -183,7 +186,6 @@ _NAME_SIZE, _BOLD = 9.0, 1.13  # text_width_in measures the regular weight
 _RADIUS_WIDE, _RADIUS_NARROW = 0.33, 0.29
 _NO_PHASE = 90.0  # half an interval of phase from which a direction says nothing
 _SHORT = {"tdc": "TDC", "index": "index", "pulse": "pulse"}
-_ORIGINS = {"tdc": "from top dead centre", "index": "from the index mark", "pulse": "from the pulse"}
 
 
 @dataclass(frozen=True)
@@ -264,7 +266,7 @@ def _shapes_subtitle(shapes: xr.Dataset, shown: int) -> str:
     some = f"The {shown} strongest of {total} orders. " if shown < total else ""
     origins = {str(text) for text in shapes["phase_from"].values}
     origin = next(iter(origins)) if len(origins) == 1 else ""
-    zero = _ORIGINS.get(origin, f"from {drawable(origin, 24)}" if origin else "from what is named at the left")
+    zero = _FROM.get(origin, f"from {drawable(origin, 24)}" if origin else "from what is named at the left")
     return f"{some}Peak amplitude and phase {zero}; a hand's length compares its row; pale: 95 % interval."
 
 

@@ -119,10 +119,7 @@ def _behind(mean, share, behind, high, lag, step):  # type: ignore[no-untyped-de
 def _follow(time_s, start, stop, jerk, numbers, out):  # type: ignore[no-untyped-def]
     """Turn the mean motion in ``out`` into that of the crank; returns the least of what must stay above zero."""
     _, _, _, lag, step, reference, slowest = numbers
-    widest = gas_widest = 0.0
-    for k in range(lag.shape[0]):
-        widest += math.hypot(lag[k, 1], lag[k, 2])
-        gas_widest += math.hypot(lag[k, 3], lag[k, 4])
+    widest, gas_widest = np.hypot(lag[:, 1], lag[:, 2]).sum(), np.hypot(lag[:, 3], lag[:, 4]).sum()
     least = 1.0
     behind = behind_speed = behind_acceleration = 0.0
     for i in range(start, stop):
@@ -168,9 +165,7 @@ def fill_motion(time_s, piece, numbers, jerk, terms, out):  # type: ignore[no-un
     shaft. ``jerk``: room for (``BLOCK``,) numbers. ``terms``: room for (``TERMS``,). ``out``: float64 (3, n).
     """
     corner_s, pieces, wobbles, lag, _, _, _ = numbers
-    top_hz, least, start = 0.0, 1.0, 0
-    for row in range(wobbles.shape[0]):
-        top_hz = wobbles[row, 0] if wobbles[row, 0] > top_hz else top_hz
+    top_hz, least, start = wobbles[:, 0].max() if wobbles.shape[0] else 0.0, 1.0, 0
     while start < time_s.size:
         low = high = time_s[start]
         stop = start + 1

@@ -1,13 +1,15 @@
-"""The balance of an engine, or of one with elastic hinges, as plain text: tables, then what remains in sentences."""
+"""The balance of an engine, or of one with elastic hinges, as plain text: tables, then what remains in sentences.
+
+Tables and paragraphs of plain text for a terminal are aligned, and never wider than a page of it.
+"""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-from crankorder.engine.balance_data import Amounts
+from crankorder.engine.balance_data import Amounts, newton
 from crankorder.engine.balance_sheet import BalanceSheet, OwnShafts, ShaftSet
-from crankorder.engine.balancing import unbalance_force_n
 from crankorder.engine.crankshaft import CrankshaftSums
 from crankorder.engine.hinge_sheet import HingeSheet, Mechanism
 from crankorder.engine.shaft_design import ByAxis, DesignLayout
@@ -165,7 +167,7 @@ def balance_text(sheet: BalanceSheet) -> str:
     speeds = list(sheet.force_n)
     heads = ["What remains", "axis", "order", "g·mm", *(f"N at {speed} rpm" for speed in speeds), "class"]
     rows: list[Row] = [
-        [cause, axis, order, amount, *(_newton(amount, speed) for speed in speeds), grade]
+        [cause, axis, order, amount, *(newton(amount, float(speed)) for speed in speeds), grade]
         for cause, axis, order, amount, grade in _single_causes(sheet)
     ]
     lines += text_table("Residuals of single causes", heads, rows, kept=3)
@@ -196,7 +198,7 @@ def _forces(sheet: BalanceSheet) -> list[str]:
     for axis, name in _axes_of(sheet):
         amounts, own = force[axis] or {}, axis == "x"
         for order in (order for order in orders if order in amounts):
-            at_speeds = [_newton(amounts[order], speed) for speed in sheet.force_n]
+            at_speeds = [newton(amounts[order], float(speed)) for speed in sheet.force_n]
             share = sheet.harmonics.get(order) if own else None
             rows.append([order, name, share, amounts[order], leading.get(order) if own else None, *at_speeds])
     title = f"Force by order {sheet.plain_state} (amplitude; g·mm: over ω²; leading: slider alone, first term)"
@@ -212,7 +214,7 @@ def _moments(sheet: BalanceSheet) -> list[str]:
     moments, speeds = sheet.moment_g_mm2, list(sheet.force_n)
     heads = ["order", "axis", "g·mm²", *(f"N·m at {speed} rpm" for speed in speeds)]
     rows: list[Row] = [
-        [order, text, amounts[order], *(1e-3 * _newton(amounts[order], speed) for speed in speeds)]
+        [order, text, amounts[order], *(1e-3 * newton(amounts[order], float(speed)) for speed in speeds)]
         for key, text in _MOMENTS.items()
         for amounts in (moments[key] or {},)
         for order in shown_orders(moments.values())
@@ -220,10 +222,6 @@ def _moments(sheet: BalanceSheet) -> list[str]:
     ]
     title = "Moments by order (Z: cylinders or middle of their banks, Y: crankshaft, X: across both)"
     return text_table(title, heads, rows, kept=2)
-
-
-def _newton(amount: float, speed: str) -> float:
-    return float(unbalance_force_n(amount, float(speed)))
 
 
 def _strategies(sheet: BalanceSheet) -> list[str]:
@@ -238,7 +236,7 @@ def _strategies(sheet: BalanceSheet) -> list[str]:
         {order: amount for order, amount in plain["x"].items() if order != "1"},
         *(strategy.higher_orders_x_g_mm or {} for strategy in every),
     ]
-    couples = [strategy.couple_g_mm2 and 1e-3 * _newton(strategy.couple_g_mm2, speed) for strategy in every]
+    couples = [strategy.couple_g_mm2 and 1e-3 * newton(strategy.couple_g_mm2, float(speed)) for strategy in every]
     rows: list[Row] = [
         ["counterweight on the crank, g", None, *(strategy.counterweight_g for strategy in every)],
         ["… on from opposite to the pin, °", None, *(strategy.counterweight_deg for strategy in every)],
@@ -246,8 +244,8 @@ def _strategies(sheet: BalanceSheet) -> list[str]:
         ["counterweights in all, g", None, *(strategy.total_g for strategy in every)],
         ["order 1 along, g·mm", *along],
         ["order 1 across, g·mm", *across],
-        [f"order 1 along, N at {speed} rpm", *(_newton(amount, speed) for amount in along)],
-        [f"order 1 across, N at {speed} rpm", *(_newton(amount, speed) for amount in across)],
+        [f"order 1 along, N at {speed} rpm", *(newton(amount, float(speed)) for amount in along)],
+        [f"order 1 across, N at {speed} rpm", *(newton(amount, float(speed)) for amount in across)],
     ]
     rows += [[f"order {order} along, g·mm", *_at(order, higher)] for order in shown_orders(higher)[:4]]
     rows.append([f"couple at most, N·m at {speed} rpm", None, *couples])
