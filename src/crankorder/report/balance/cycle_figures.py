@@ -292,14 +292,15 @@ def hinge_figure(
 def _at_speed(panels: list[Axes], engine: HingedEngine, mechanism: HingedCrankData, speed: float, number: int) -> None:
     """The curves of one ``speed`` (rpm) in the panels of side force, M12 and both hinges."""
     color, crank, curve = LINES[number % len(LINES)], mechanism.crank, engine.curve
+    _, without_hinge, _, at_pin, *hinges = panels
     force = side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed)
-    panels[1].plot(360 * _ANGLES, force, color=color, gid=f"side-force-{number}")
+    without_hinge.plot(360 * _ANGLES, force, color=color, gid=f"side-force-{number}")
     moment = hinge_moment(_ANGLES, crank, curve, speed_rpm=speed, pin_hinge="full")
-    panels[3].plot(360 * _ANGLES, moment, color=color, gid=f"m12-full-{number}")
+    at_pin.plot(360 * _ANGLES, moment, color=color, gid=f"m12-full-{number}")
     moment = hinge_moment(_ANGLES, crank, curve, speed_rpm=speed, pin_hinge="printed")
-    panels[3].plot(360 * _ANGLES, moment, color=color, gid=f"m12-printed-{number}", linestyle=(0, (3, 2)),
+    at_pin.plot(360 * _ANGLES, moment, color=color, gid=f"m12-printed-{number}", linestyle=(0, (3, 2)),
                    linewidth=2.2, alpha=0.6)  # fmt: skip
-    for axes, joint in zip(panels[4:], get_args(Joint), strict=True):
+    for axes, joint in zip(hinges, get_args(Joint), strict=True):
         table = hinge_table(crank, curve, joint=joint, speed_rpm=speed)
         axes.plot(360 * table.hinge_angle_rev, table.moment_nm, color=color, gid=f"{joint}-{number}")
 
