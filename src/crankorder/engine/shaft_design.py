@@ -167,7 +167,7 @@ def _weights(motion: OrderMotion, sense: int, planes_m: tuple[float, float]) -> 
 
 
 def _weight(unbalance: complex, position_m: float) -> Weight:
-    angle = math.degrees(cmath.phase(unbalance))
+    angle = math.degrees(math.atan2(unbalance.imag, unbalance.real))
     angle = 0.0 if abs(angle) < 1e-12 else angle % 360
     return Weight(unbalance_g_mm=abs(unbalance), angle_deg=angle, position_m=position_m)
 

@@ -5,7 +5,6 @@ What errors of masses, pins and shaft timing leave of a balanced engine.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -101,11 +100,15 @@ def opposing_pair(x_g_mm: complex, *, order: float) -> tuple[Shaft, Shaft]:
     ``x_g_mm``: complex amplitude over ω². ``order``: of that force, > 0. Source: Task 5, equations (5.27) to (5.29).
     """
     unbalance = abs(x_g_mm) / (2 * order**2)  # the squared speed ratio makes it force
-    lead = math.degrees(cmath.phase(x_g_mm))
+    lead = _lead_deg(x_g_mm)
     return (
         Shaft(speed_ratio=float(order), unbalance_g_mm=unbalance, phase_deg=180.0 + lead),
         Shaft(speed_ratio=-float(order), unbalance_g_mm=unbalance, phase_deg=180.0 - lead),
     )
+
+
+def _lead_deg(force_g_mm: complex) -> float:
+    return math.degrees(math.atan2(force_g_mm.imag, force_g_mm.real))
 
 
 def shaft_layout(masses: ReducedMasses, possibility: Possibility, *, max_order: int) -> ShaftLayout:
@@ -125,9 +128,7 @@ def shaft_layout(masses: ReducedMasses, possibility: Possibility, *, max_order: 
         shafts += opposing_pair(by_order[1].x_g_mm, order=1)
     if possibility in ("4", "4+2") and 1 in by_order:
         size = by_order[1].reverse_g_mm
-        shafts += (
-            Shaft(speed_ratio=-1.0, unbalance_g_mm=abs(size), phase_deg=180.0 + math.degrees(cmath.phase(size))),
-        )
+        shafts += (Shaft(speed_ratio=-1.0, unbalance_g_mm=abs(size), phase_deg=180.0 + _lead_deg(size)),)
     if possibility in ("2", "3", "4+2") and 2 in by_order:
         shafts += opposing_pair(by_order[2].x_g_mm, order=2)
     residual = sum_by_order([*left, *(shaft.force for shaft in shafts)])
