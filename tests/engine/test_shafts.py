@@ -19,25 +19,23 @@ from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_mom
 from crankorder.engine.forces import Z as Z_ERRORS
 from crankorder.engine.shaft_design import designs
 from crankorder.engine.shafts import (
+    BalanceTolerances,
     Gear,
     GearTolerances,
     GearTrain,
     Shaft,
     gear_errors_deg,
     opposing_pair,
+    series_residuals,
     shaft_layout,
+    tolerance_sentences,
     tolerance_study,
     weighted_wheels,
     wheels_couple,
     wheels_force,
-)
-from crankorder.engine.slider_crank import SliderCrank
-from crankorder.engine.tolerance_study import (
-    BalanceTolerances,
-    series_residuals,
-    tolerance_sentences,
     with_single_shafts,
 )
+from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import ManyErrors, RequestError
 
 ANGLES = np.arange(360) / 360

@@ -11,8 +11,8 @@ from crankorder.errors import RequestError
 from crankorder.ingest import hdf5
 from crankorder.ingest.units import parse_sensitivity, unit_of
 from crankorder.settings import load_settings
-from crankorder.synth.analogue import analogue_filter, high_pass, low_pass, recorded, true_rate_hz
 from crankorder.synth.parts import Acquisition
+from crankorder.synth.poles import analogue_filter, high_pass, low_pass, recorded, true_rate_hz
 
 RNG = np.random.default_rng(5)
 PER_SAMPLE = 0.02 * (np.sqrt(5) - 1) / 2

@@ -11,7 +11,6 @@ from scipy.signal import welch
 
 from crankorder.batch.accuracy import Twin, _floor
 from crankorder.errors import RequestError
-from crankorder.synth.analogue import high_pass, in_series, low_pass
 from crankorder.synth.lines import modulation, ringing, ringing_s, slipping_line, strike_angles
 from crankorder.synth.noise import (
     density_through_points,
@@ -24,6 +23,7 @@ from crankorder.synth.noise import (
     white_spectrum,
 )
 from crankorder.synth.parts import ColouredNoise
+from crankorder.synth.poles import high_pass, in_series, low_pass
 
 RATE_HZ = 8000.0
 

@@ -8,8 +8,7 @@ import pytest
 from crankorder.engine.definition import Engine
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
-from crankorder.synth.crank import crank_motion, lag_by_order
-from crankorder.synth.lines import crank_forces, order_lines
+from crankorder.synth.lines import crank_forces, crank_motion, lag_by_order, order_lines
 from crankorder.synth.load import load_scene
 from crankorder.synth.motion import Motion
 from crankorder.synth.noise import floor_of

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
-from crankorder.synth.analogue import high_pass, in_series, low_pass
-from crankorder.synth.poles import Structure, accelerance, poles_of, tones
+from crankorder.synth.poles import Structure, accelerance, high_pass, in_series, low_pass, poles_of, tones
 from made.structures import frequency_response
 
 RNG = np.random.default_rng(4)

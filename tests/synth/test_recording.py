@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
-from crankorder.synth.crank import crank_motion, start_angle_rev
+from crankorder.synth.lines import crank_motion, start_angle_rev
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
 from crankorder.synth.parts import Acquisition, InCycleSpeed, SpeedOrder, SpeedProfile, Wander

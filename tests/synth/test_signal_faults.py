@@ -7,7 +7,6 @@ import pytest
 
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.settings import load_settings
-from crankorder.synth.analogue import recorded
 from crankorder.synth.parts import (
     Acquisition,
     AnySignalFault,
@@ -19,6 +18,7 @@ from crankorder.synth.parts import (
     NotANumber,
     Spikes,
 )
+from crankorder.synth.poles import recorded
 from crankorder.synth.signal_faults import impossible_faults, with_signal_faults
 
 Records = list[dict[str, Any]]
