@@ -17,7 +17,7 @@ from crankorder.shaft.repair import running_part
 from crankorder.shaft.tooth_errors import same_wheel, speed_swing, stated_teeth, tooth_errors
 from crankorder.shaft.uneven_wheel import find_pattern
 from crankorder.shaft.wheel import number_teeth
-from crankorder.synth.crank import lag_by_order
+from crankorder.synth.lines import lag_by_order
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import SpeedOrder
 
