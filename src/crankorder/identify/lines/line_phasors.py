@@ -125,6 +125,9 @@ def proves_speed(numbers: Sequence[tuple[float, float, float]], *, revs_per_cycl
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "line_phasors")
 
+HANN_ENBW = 1.5
+"""Noise bandwidth of a frame's bin [bins]."""
+
 LEAST_APART_CYCLES = 0.25
 """Cycles over the recording below which two lines have run into one another."""
 
@@ -262,7 +265,11 @@ def _solved_together(line: Zoomed, recording: Recording, channels: list[int], at
         started = replace(started, amplitude=size, error=error, snr=snr, dof=sighting.degrees_of_freedom)
         return replace(started, offset=offset, variance=sighting.order_error**2 + drift)
 
-    return replace(solved(0, line), second=solved(1, second))
+    # of what one bin holds of noise, two phasors and two numbers took three parts
+    parts = HANN_ENBW * band.held.span_rev / revs
+    left = np.square(np.abs(band.spectra(pair.left)[:, band.bins == at])).mean(axis=(0, 1)) * np.square(band.unit)
+    left *= parts / max(parts - 3.0, 1.0)
+    return replace(solved(0, line), second=solved(1, second), left=left)
 
 
 def is_swept(speed_rpm: Floats) -> bool:

@@ -213,11 +213,7 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chanc
         lines = [
             line
             for line in by_recording.values()  # a resonance that noise excites leaves far more than two lines do
-            if alone
-            or (
-                line.second is not None
-                and 2.0 * line.frames * float(np.median(line.error)) ** 2 < NUMBERS.left_ratio * floor
-            )
+            if alone or (line.left is not None and float(np.median(line.left)) < NUMBERS.left_ratio * floor)
         ]
         if keeps_one_order(lines, false_alarm_probability=chance):
             return True

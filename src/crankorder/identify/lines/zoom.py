@@ -28,7 +28,8 @@ class Zoomed:
     ``amplitude`` (channels,) complex at crank angle 0 and its standard ``error``; ``span_rev`` from the first to the
     last frame's centre; ``snr`` the square of the mean's amplitude over its noise along one axis, over so many
     ``frames``; ``wander`` how much more of what is left after the line is slow than fast (NaN where not known);
-    ``second`` a line beside it; ``course`` how its phase runs over a run-up, None where the speed is held.
+    ``second`` a line beside it and ``left`` the power (channels,) of a frame that both leave, None without it;
+    ``course`` how its phase runs over a run-up, None where the speed is held.
     """
 
     offset: float
@@ -41,6 +42,7 @@ class Zoomed:
     frames: float
     wander: float = np.nan
     second: Zoomed | None = None
+    left: Floats | None = None
     course: Course | None = None
     swept: bool = False
 
