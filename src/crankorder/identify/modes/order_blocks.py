@@ -20,6 +20,12 @@ from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "order_blocks")
 
+TURNS_SURELY = "turns_surely"
+"""Attribute of the tracks of a sweep: whether its angle is so sure that its signals were asked for modes."""
+
+UNTOLD_HZ = 1e9
+"""Blur of rows of a sweep whose signals were not asked: a mode may ring in them as it likes, and none is excluded."""
+
 
 def blocks_of(order_map: xr.Dataset, orders: AgreedOrders, followed: Sequence[xr.Dataset] = ()) -> tuple[Block, ...]:
     """Blocks of the ``orders`` with every channel in which they stand out anywhere.
@@ -108,6 +114,7 @@ def _swept_block(agreed: AgreedOrder, tracks: xr.Dataset) -> Block | None:
     amplitude, error = swept["held_amplitude"].values, swept["standard_error"].values
     speed, hertz = swept["speed"].values, float(swept["order"]) * tracks["speed"].values / 60.0
     rate = float(np.median(np.abs(np.gradient(hertz, tracks["time"].values))))
+    blur_hz = 0.5 * float(np.sqrt(rate)) if tracks.attrs.get(TURNS_SURELY, 1) else UNTOLD_HZ
     rows = Rows(
         agreed.order,
         tuple(str(name) for name in tracks["channel"].values),
@@ -116,7 +123,7 @@ def _swept_block(agreed: AgreedOrder, tracks: xr.Dataset) -> Block | None:
         np.nan_to_num(amplitude),
         np.where(np.isfinite(amplitude.real) & (error > 0.0), error, np.inf),
         recording=str(tracks.attrs["recording"]),
-        blur_hz=0.5 * float(np.sqrt(rate)),
+        blur_hz=blur_hz,
     )
     return _block(rows, parts=2)
 

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import ModalFit, Mode, SweepFits
+from crankorder.identify.modes.order_blocks import TURNS_SURELY
 from crankorder.identify.modes.order_modes import is_shown
 from crankorder.identify.modes.pole_errors import side_by_side
 from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at
@@ -125,7 +126,8 @@ def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[x
     """``followed`` (RecordingTracks) whose rows near the modes of ``fits`` are theirs, with one more at each peak.
 
     What each row would be if its speed were held is their ``held_amplitude`` (channel, order, frame): the steady answer
-    of the fit near a mode, elsewhere what the filter tells with what it took put back.
+    of the fit near a mode, elsewhere what the filter tells with what it took put back. The attribute ``turns_surely``
+    says whether the angle is so sure that the signals were asked for modes at all.
     """
     replaced = []
     for tracks in followed:
@@ -133,7 +135,7 @@ def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[x
             changed = ("amplitude", "standard_error", "degrees_of_freedom", *SMOOTHING)
             own = {name: tracks[name].copy() for name in changed}
             own["held_amplitude"] = (tracks["amplitude"] + tracks["smoothing"]).assign_attrs(tracks["amplitude"].attrs)
-            tracks = tracks.assign(own)
+            tracks = tracks.assign(own).assign_attrs({TURNS_SURELY: int(_turns_surely(tracks))})
         for group in fits.groups if "waveform" in tracks else ():
             numbers = tracks["order"].values.tolist()
             proven = {order for pole in group.poles for order in pole.orders}
