@@ -23,7 +23,8 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
 from crankorder.campbell.vibration_levels import vibration_levels
-from crankorder.checks.doubts import Doubts, doubts_of, emptied
+from crankorder.checks.doubts import Doubts, doubts_of
+from crankorder.checks.gathered import Gathered, RecordingResult, flags_of_all
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import Bearing
 from crankorder.fft.decimation import band_limited
@@ -429,68 +430,9 @@ FRAMES_OF: dict[Any, Any] = {
     AllRecordingEnvelopes: RecordingEnvelope,
     AllRecordingLevels: RecordingLevels,
     AllLevelFrames: LevelFrames,
+    AllShaftAngles: ShaftAngle,
 }
 """Noun of one recording that each gathered noun of a test is made of."""
-
-
-@dataclass(frozen=True)
-class RecordingResult:
-    """What one recording gives to its test: its shaft, and the frames by noun that the wanted results need."""
-
-    shaft: ShaftAngle
-    frames: Mapping[Any, xr.Dataset]
-
-    @property
-    def name(self) -> str:
-        """Name of the recording: its path inside the folder of the test."""
-        return str(self.shaft.attrs["recording"])
-
-    @property
-    def flags(self) -> list[QualityFlag]:
-        """Quality flags of shaft and frames, each once, in the order in which they were raised."""
-        seen: list[QualityFlag] = []
-        for dataset in (*self.frames.values(), self.shaft):
-            seen += [flag for flag in flags_of(dataset) if flag not in seen]
-        return seen
-
-    def doubted(self, doubts: Doubts) -> RecordingResult:
-        """This result with its flags of ``doubts``, in which the channels that these leave out hold no data."""
-        gains, clocks = doubts.gains.get(self.name, []), doubts.clocks.get(self.name, [])
-        if not gains and not clocks:
-            return self
-        frames = {noun: emptied(frame, gains) for noun, frame in self.frames.items()}
-        if clocks:
-            frames[OrderFrames] = with_flags(frames[OrderFrames].copy(), clocks)
-        return RecordingResult(ShaftAngle(with_flags(self.shaft.copy(), gains)), frames)
-
-    def history_of(self, noun: Any) -> str:
-        """History of the frames of this ``noun``, or of the shaft."""
-        return str((self.shaft if noun is ShaftAngle else self.frames[noun]).attrs.get("history", ""))
-
-
-class Gathered(Sequence[xr.Dataset]):
-    """Frames of one noun of all ``recordings`` that have it, taken from each as they are asked for."""
-
-    def __init__(self, recordings: Sequence[RecordingResult], noun: Any) -> None:
-        """Those of the ``noun``, ShaftAngle or one of the frames."""
-        self._noun = noun
-        self._of = [item for item in recordings if noun is ShaftAngle or noun in item.frames]
-
-    def __len__(self) -> int:
-        """Number of recordings."""
-        return len(self._of)
-
-    def __getitem__(self, number: Any) -> Any:
-        """Dataset of the recording ``number``; a list for a slice."""
-        if isinstance(number, slice):
-            return [self[k] for k in range(*number.indices(len(self)))]
-        one = self._of[number]
-        return one.shaft if self._noun is ShaftAngle else one.frames[self._noun]
-
-    @property
-    def histories(self) -> list[str]:
-        """History of each dataset."""
-        return [one.history_of(self._noun) for one in self._of]
 
 
 @dataclass(frozen=True)
@@ -504,13 +446,13 @@ class CampaignResult:
 def frames_wanted(settings: Settings) -> tuple[Any, ...]:
     """Nouns of one recording that the results named in ``settings`` of the report need."""
     needs = _plan_of_test(settings.report.results).needs
-    return tuple(noun for gathered, noun in FRAMES_OF.items() if gathered in needs)
+    return tuple(noun for gathered, noun in FRAMES_OF.items() if gathered in needs and noun is not ShaftAngle)
 
 
 @functools.cache
 def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
     """Plan of the results of that name; tracks follow only orders asked for by name where findings are not wanted."""
-    given = [*FRAMES_OF, AllShaftAngles, TestName, MachineModel, Settings]
+    given = [*FRAMES_OF, TestName, MachineModel, Settings]
     given += [] if "findings" in results else [Findings]
     return StagePlan(STAGES, wanted=[*(RESULTS[name] for name in results), ShaftSummary], given=given)
 
@@ -563,7 +505,10 @@ def analyse_recording(
 
 
 def compare_recordings(recordings: list[RecordingResult], *, strict: bool, settings: Settings) -> Doubts:
-    """Doubts about the ``recordings`` of a test beside each other; ``strict`` leaves out "suspect" ones too."""
+    """Doubts about the ``recordings`` of a test beside each other; ``strict`` leaves out "suspect" ones too.
+
+    ``settings`` of all stages.
+    """
     flags = {recording.name: recording.flags for recording in recordings}
     given = {**_gathered(recordings), RecordingFlags: flags, Strict: strict, Settings: settings}
     doubts: Doubts = _plan_of_recording((Doubts,), tuple(given)).run(given)[Doubts]
@@ -580,14 +525,8 @@ def analyse_test(
     """
     kept = [recording.doubted(doubts) for recording in recordings if recording.name not in doubts.left_out]
     results = settings.report.results
-    given: dict[Any, Any] = {
-        TestName: test,
-        MachineModel: sources,
-        Settings: settings,
-        Findings: nothing_sought(test, reason=""),
-        **_gathered(kept),
-    }
-    made = _plan_of_test(results).run(given)
+    given = {TestName: test, MachineModel: sources, Settings: settings, Findings: nothing_sought(test, reason="")}
+    made = _plan_of_test(results).run({**given, **_gathered(kept)})
     # what every band shows of every train of strikes is for the findings alone: it would double the results
     datasets = {
         str(name): made[RESULTS[name]].drop_dims("look", errors="ignore") for name in results if name != "findings"
@@ -604,8 +543,7 @@ def analyse_test(
 
 def _gathered(recordings: list[RecordingResult]) -> dict[Any, Any]:
     """What all ``recordings`` gave, by the nouns of a test."""
-    made_of = {**FRAMES_OF, AllShaftAngles: ShaftAngle}
-    return {gathered: Gathered(recordings, noun) for gathered, noun in made_of.items()}
+    return {gathered: Gathered(recordings, noun) for gathered, noun in FRAMES_OF.items()}
 
 
 def _unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: Settings) -> Findings:
@@ -613,9 +551,6 @@ def _unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: 
 
     ``datasets`` are the results of the ``test`` of that name, ``settings`` say which were asked for.
     """
-    flags: list[QualityFlag] = []
-    for dataset in datasets.values():
-        flags += [flag for flag in flags_of(dataset) if flag not in flags]
     maps = [dataset for dataset in datasets.values() if "channel" in dataset.variables]
     columns = (maps[0][name].values.tolist() if maps else [] for name in ("channel", "unit", "quantity"))
     speeds = [dataset["speed"].values for dataset in maps if "speed" in dataset.variables]
@@ -625,4 +560,5 @@ def _unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: 
     reason = f"not asked for: the recipe wants {wanted} only" if wanted else OF_SHAFT_ALONE
     made = tuple(Channel(name=name, unit=unit, quantity=kind) for name, unit, kind in zip(*columns, strict=True))
     tested = (float(known.min()), float(known.max())) if known.size else (None, None)
-    return nothing_sought(test, reason=reason, channels=made, speed_range_rpm=tested, quality=quality_of(flags))
+    quality = quality_of(flags_of_all(datasets.values()))
+    return nothing_sought(test, reason=reason, channels=made, speed_range_rpm=tested, quality=quality)

@@ -25,13 +25,14 @@ from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.checks.doubts import Doubts
+from crankorder.checks.gathered import RecordingResult
 from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Findings, quality_of
 from crankorder.identify.machine_model import MachineModel, cycle_doubts
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import QualityFlag, remark
 from crankorder.settings import Settings, toml_table
-from crankorder.stages import RecordingResult, analyse_recording, analyse_test, compare_recordings, frames_wanted
+from crankorder.stages import analyse_recording, analyse_test, compare_recordings, frames_wanted
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
@@ -182,8 +183,8 @@ def results_of_test(
     """Datasets by group and findings of the ``test`` of that name, and faults of recordings that the maps leave out.
 
     ``results`` of its recordings, of which ``doubts`` leave some out; ``sources``: what the machine is made of;
-    ``settings`` of all stages;
-    ``flags`` and ``faults`` of the test so far, which the findings tell too; ``name_of``: the recording of a file.
+    ``settings`` of all stages; ``flags`` and ``faults`` of the test so far, which the findings tell too; ``name_of``:
+    the recording of a file.
     """
     made = analyse_test(results, doubts, test=test, sources=sources, settings=settings)
     left_out: list[CrankorderError] = [
@@ -191,10 +192,7 @@ def results_of_test(
         for flag in made.findings.quality
         if flag.flag == "frame_length_differs"
     ]
-    not_used: list[QualityFlag] = [
-        {"recording": name_of(Path(fault.file)), "flag": "not_used", "severity": "bad", "detail": str(fault)}
-        for fault in (*faults, *left_out)
-    ]
+    not_used = [remark(name_of(Path(fault.file)), "not_used", str(fault), "bad") for fault in (*faults, *left_out)]
     highest, orders = settings.orders.max_order, made.findings.orders
     cycle = cycle_doubts(orders, two_stroke=sources.two_stroke, engine=sources.engine, max_order=highest)
     quality = (*made.findings.quality, *quality_of([*flags, *doubts.lengths, *not_used]), *cycle)
@@ -318,13 +316,10 @@ def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list
     first_of: dict[str, Path] = {}
     wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
     first = set(wanted)
-    flags: list[QualityFlag] = [
-        {
-            "recording": plan.name_of(path),
-            "flag": "duplicate_of",
-            "severity": "info",
-            "detail": f"the same bytes as {plan.name_of(first_of[alike[path]])}: counted once",
-        }
+    flags = [
+        remark(
+            plan.name_of(path), "duplicate_of", f"the same bytes as {plan.name_of(first_of[alike[path]])}: counted once"
+        )
         for path in plan.recordings
         if path not in first
     ]

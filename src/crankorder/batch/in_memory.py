@@ -11,13 +11,14 @@ import xarray as xr
 from crankorder.batch.execute import results_of_test
 from crankorder.batch.machine import sources_of
 from crankorder.batch.plan import settings_for
+from crankorder.checks.gathered import RecordingResult
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
 from crankorder.findings import Findings
 from crankorder.ingest.manifest import manifest_head, manifest_of
 from crankorder.quantities import check_dataset
 from crankorder.settings import Settings
-from crankorder.stages import RecordingResult, analyse_recording, compare_recordings
+from crankorder.stages import analyse_recording, compare_recordings
 
 Recordings = xr.Dataset | Sequence[xr.Dataset]
 """One Recording, or several of one test."""

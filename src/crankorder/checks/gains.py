@@ -72,10 +72,11 @@ def gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float
     candidates = [(step, channel) for step, channel in np.argwhere(jumps).tolist()]
     shown = {at: _shown_by_orders(lines, *at, whole[at], moved) for at in candidates}
     for step, channel in candidates:
-        jump = whole[step, channel]
+        jump, known = whole[step, channel], moves[step, channel][np.isfinite(moves[step, channel])]
         if (
             abs(jump) > _SIGMAS * sigma
-            and _is_common(moves[step, channel], jump)
+            and len(known) >= _FEWEST_BLOCKS
+            and np.mean(np.abs(known - jump) <= _STAYS * abs(jump)) >= _ALIKE
             and _others_stay(whole, step, channel)
             and sum(shown.get(at, 0.0) for at in _there_and_back(whole, step, channel)) > math.log(_ODDS)
         ):
@@ -120,13 +121,6 @@ def _moves(speed_rpm: Floats, blocks: Floats) -> Floats:
     common = float(np.nanmedian(slopes)) if np.isfinite(slopes).any() else 0.0
     own = np.nan_to_num(median_of_known(slopes.T, axis=1), nan=common) if known.sum() >= _OWN_SLOPE else common
     return np.asarray(moves - (apart[:, None] * own)[..., None])
-
-
-def _is_common(moves: Floats, jump: float) -> bool:
-    """Whether nearly all blocks of a channel move by the ``jump``."""
-    known = moves[np.isfinite(moves)]
-    near = np.abs(known - jump) <= _STAYS * abs(jump)
-    return len(known) >= _FEWEST_BLOCKS and float(np.mean(near)) >= _ALIKE
 
 
 def _jumps(apart: Floats, ratio: float) -> list[tuple[int, int]]:
@@ -208,11 +202,12 @@ def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float, proven_ratio: 
         what = f"its noise floor is {factor:.3g} times that of the recordings next in speed{doubt}"
         by_floor |= _flag(steady[row].recording, channels[column], what)
     for group in _groups(steady):
-        names, levels_of = _logarithms(group, "rms")
+        names, own = _logarithms(group, "rms")
         # off the lower of two middle ones: between two halves that differ nothing lies
-        apart = levels_of - np.sort(levels_of, axis=0)[(len(group) - 1) // 2]
+        apart = own - np.sort(own, axis=0)[(len(group) - 1) // 2]
+        jumping = _jumps(apart, ratio)
         for column, name in enumerate(names):
-            rows = {row: float(apart[row, at]) for row, at in _jumps(apart, ratio) if at == column}
+            rows = {row: float(apart[row, at]) for row, at in jumping if at == column}
             beside = [row for row, level in enumerate(group) if (level.recording, name) in by_floor]
             for row, jump, undecided in _wrong_of(rows, beside, len(group)):
                 what = f"its level is {math.exp(jump):.3g} times that of the other recordings"
