@@ -1,8 +1,9 @@
-"""The stages in flow order: the whole program on one screen. What a stage takes and gives is its signature.
+"""The stages in flow order, which `docs/method/stages.md` draws. What a stage takes and gives is its signature.
 
-``analyse_recording`` runs the stages of one file, ``analyse_test`` those that join a test's files; the plan of each is
-worked out from the signatures (``StagePlan``): only what the wanted results need is run. Every stage checks its inputs
-at the door (schema, metadata only) and signs what it gives with a line of history.
+``analyse_recording`` runs the stages of one file, ``compare_recordings`` doubts what beside the others is odd, and
+``analyse_test`` runs those that join a test's files, without what is left out; the plan of each is worked out from the
+signatures (``StagePlan``): only what the wanted results need is run. Every stage checks its inputs at the door (schema,
+metadata only) and signs what it gives with a line of history.
 """
 
 from __future__ import annotations
