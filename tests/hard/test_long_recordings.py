@@ -14,6 +14,7 @@ import pytest
 import xarray as xr
 
 from crankorder.batch.plan import plan_tests
+from crankorder.checks.doubts import Doubts
 from crankorder.fft.decimation import band_limited
 from crankorder.identify.machine_model import MachineModel
 from crankorder.ingest.recording import read_recording
@@ -32,7 +33,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 def analysed(folder: Path, recipe: str | None, max_memory_mb: int) -> CampaignResult:
     plan = plan_tests([folder], folder.parent / "out", recipe=recipe, max_memory_mb=max_memory_mb).tests[0]
     made = analyse_recording(plan.recordings[0], plan.manifest, plan.settings)
-    return analyse_test([made], test="long", sources=MachineModel(revs_per_cycle=2), settings=plan.settings)
+    return analyse_test([made], Doubts(), test="long", sources=MachineModel(revs_per_cycle=2), settings=plan.settings)
 
 
 @pytest.mark.slow

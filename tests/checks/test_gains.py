@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+from crankorder.checks.gains import RecordedLevel, level_jumps
 from crankorder.quantities import WHICH_IS_RIGHT
 
 NAMES = ("X", "Y", "Z")
