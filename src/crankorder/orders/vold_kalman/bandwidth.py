@@ -42,6 +42,8 @@ LEAST_LEFT = 0.3
 INDEPENDENT = 0.55
 """Degrees of freedom, as a share of twice the bins: neighbours share a Hann window, and a quarter is left out."""
 
+LEVEL_DOF = 4.0 * INDEPENDENT * (FLANK[1] - FLANK[0]) * FRAME_BANDWIDTHS
+"""Degrees of freedom of the level of one frame."""
 
 DEGREE = 5
 """Of the envelopes between knots. Those of a filter of n poles have 2n - 2 smooth derivatives."""
@@ -76,15 +78,6 @@ def noise_bandwidth_share(poles: int) -> float:
     power = 2.0 * poles
     shape = (1.0 - 1.0 / power) * (math.pi / power) / math.sin(math.pi / power)
     return float(HALF_POWER ** (-1.0 / power) * shape)
-
-
-def noise_correlation(lag_bandwidths: Floats, poles: int) -> Floats:
-    """Correlation of the filter's noise at two times, ``lag_bandwidths`` (any shape) reciprocal bandwidths apart.
-
-    The cosine transform of |gain|², ``poles`` as of the filter: lines that far apart share their error.
-    """
-    grid, table = _correlation_table(poles)
-    return np.asarray(np.interp(np.abs(lag_bandwidths), grid, table))
 
 
 def impulse_response(lag_bandwidths: Floats, poles: int) -> Floats:
@@ -130,17 +123,6 @@ def _response_table(poles: int) -> tuple[Floats, Floats]:
     gain[0] *= 0.5
     grid = np.linspace(0.0, FARTHEST_LAG, 1025)
     return grid, np.asarray(np.cos(np.pi * np.outer(grid, x)) @ gain) * float(x[1])
-
-
-@functools.cache
-def _correlation_table(poles: int) -> tuple[Floats, Floats]:
-    """Lags in reciprocal bandwidths, and the correlation there."""
-    x = np.linspace(0.0, 8.0, 801)
-    power = 1.0 / (1.0 + HALF_POWER * x ** (2 * poles)) ** 2
-    grid = np.linspace(0.0, FARTHEST_LAG, 513)
-    table = np.cos(np.pi * np.outer(grid, x)) @ power / power.sum()
-    table[-1] = 0.0
-    return grid, table
 
 
 def local_level(
@@ -215,12 +197,6 @@ def _level(power: Floats, free: Bools) -> Floats:
 def student_factor(dof: Floats) -> Floats:
     """What Student's t asks for at 95 % over a normal distribution, by degrees of freedom ``dof`` (any shape)."""
     return np.asarray(1.0 + 1.21 / dof)
-
-
-def level_dof(bandwidths: float) -> float:
-    """Degrees of freedom of the level of one frame, in a record ``bandwidths`` reciprocal bandwidths long."""
-    flank = min(FRAME_BANDWIDTHS, bandwidths)
-    return 4.0 * INDEPENDENT * max(1.0 + LEAST_BINS[1], (FLANK[1] - FLANK[0]) * flank)
 
 
 def _expected(kept: Ints, count: Ints) -> Floats:
