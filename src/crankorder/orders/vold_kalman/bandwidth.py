@@ -126,14 +126,14 @@ def _response_table(poles: int) -> tuple[Floats, Floats]:
 
 
 def local_level(
-    sums: Complexes, weight: Floats, others: Floats, *, sums_per_bandwidth: float, poles: int, correlation: Floats
+    sums: Complexes, weight: Floats, others: Floats, *, sums_per_bandwidth: float, poles: int
 ) -> tuple[Floats, Floats]:
     """Variance of the white noise that would be as strong as the residual beside one order, by frame.
 
     ``sums`` (channels, places) of the residual turned back by the order's phase, whose mean square is ``weight``
     (places,) times that variance; ``others`` (other orders, places) their distance from this order in cycles per
     place; ``sums_per_bandwidth`` of them in the time 1/bandwidth; ``poles`` of the filter, whose gain is missing from
-    the residual; ``correlation`` (lags,) of neighbouring sums in white noise, one at lag 0. Returns the middle of each
+    the residual. Returns the middle of each
     frame in places (frames,) and the variance (channels, frames), enlarged as Student's distribution asks for so few
     bins.
     """
@@ -147,8 +147,8 @@ def local_level(
     spectrum = np.fft.fft(sliding_window_view(turned, length, axis=1)[:, starts] * window, axis=2)[:, :, bins]
     left = _left_by_filters(bins / length, others, starts, length, sums_per_bandwidth, poles)
     # power of white noise in the sums at each offset [cycles per place]
-    lags = np.arange(1, len(correlation))
-    white = correlation[0] + 2.0 * np.cos(2.0 * np.pi * np.outer(bins / length, lags)) @ correlation[1:]
+    lags = np.arange(1, len(SPLINE_CORRELATION))
+    white = 1.0 + 2.0 * np.cos(2.0 * np.pi * np.outer(bins / length, lags)) @ SPLINE_CORRELATION[1:]
     power = np.abs(spectrum) ** 2 / (white * left)
     free = left >= np.minimum(LEAST_LEFT, np.sort(left, axis=1)[:, -min(FEWEST_BINS, len(bins)), None])
     usable = held > 0.5 * held.max()
