@@ -39,11 +39,11 @@ from crankorder.ingest.recording import read_recording
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.orders.fixed_lines import lines_of_findings
-from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import band_of_orders, order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.method import METHOD_SHARE
 from crankorder.orders.shapes import operating_shapes
+from crankorder.orders.swept_tracks import followed_tracks
 from crankorder.orders.track_rows import followed_orders, order_tracks
 from crankorder.orders.true_angle import (
     NAMES,
@@ -388,8 +388,9 @@ def tracks(
     """Orders of ``findings`` and ``settings`` over speed, read in ``order_map`` and ``frames`` or as ``followed``."""
     orders = followed_orders(findings, settings.orders)
     fixed = lines_of_findings(findings)
-    made = order_tracks(order_map, orders, settings=settings.orders, frames=frames, followed=followed, fixed=fixed)
-    return OrderTracks(with_followed(made, list(followed)))
+    return OrderTracks(
+        order_tracks(order_map, orders, settings=settings.orders, frames=frames, followed=followed, fixed=fixed)
+    )
 
 
 @stage

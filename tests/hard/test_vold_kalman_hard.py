@@ -5,7 +5,6 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.orders.vold_kalman.filter import vold_kalman
-from crankorder.orders.vold_kalman.system import EnvelopeSystem
 
 RATE_HZ = 5000.0
 
@@ -46,27 +45,6 @@ def test_a_minute_of_ramps_at_10_krpm_per_second_is_followed() -> None:
     truth = np.array([1.0 - 0.3j, 0.4 + 0.2j])
     tracks = vold_kalman([lines(truth, phase)], phase, rate_hz=rate_hz, bandwidth_hz=4.0)
     assert np.abs(tracks.amplitude[0] - truth[:, None]).max() < 1e-10
-
-
-@pytest.mark.slow
-def test_ten_million_samples_pass_through_in_blocks() -> None:
-    rate_hz, n, block = 50_000.0, 10_000_000, 500_000
-    truth = np.array([2.0 - 1.0j])
-    system = EnvelopeSystem(n_samples=n, n_channels=1, bandwidth_hz=np.array([[0.5, 0.5]]), rate_hz=rate_hz, poles=2)
-
-    def part(begin: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        time_s = np.arange(begin, begin + block) / rate_hz
-        phase = (20.0 * time_s + 0.5 * time_s**2)[None]
-        return lines(truth, phase)[None], phase, np.ones(block, dtype=bool)
-
-    for begin in range(0, n, block):
-        system.add(*part(begin), begin=begin)
-    solution = system.solve()
-    for begin in range(0, n, block):
-        amplitude, residual = system.read(solution, *part(begin), begin=begin)
-        assert np.abs(amplitude - truth).max() < 1e-13
-        assert np.abs(residual).max() < 1e-12
-    assert system.gram.nbytes < 1e-2 * 8 * n
 
 
 @pytest.mark.slow

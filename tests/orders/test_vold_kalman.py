@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from crankorder.errors import InputError, RequestError
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.orders.vold_kalman.filter import vold_kalman
-from crankorder.orders.vold_kalman.system import EnvelopeSystem
 
 RATE_HZ = 2000.0
 
@@ -61,16 +60,13 @@ def test_a_modulated_line_comes_out_half_as_strong_at_the_edge_of_the_band(bandw
 
 
 @pytest.mark.cases(1)
-@pytest.mark.parametrize("poles", [1, 2, 3])
-@pytest.mark.parametrize("bandwidth_hz", [40.0, 150.0])
-def test_solved_at_every_sample_it_is_the_solution_of_the_dense_problem(poles: int, bandwidth_hz: float) -> None:
-    rng = np.random.default_rng(poles)
-    phase = run_up(400)
-    signal = line(1.0 + 0.5j * np.linspace(0, 1, 400), phase) + 0.3 * rng.normal(size=400) + 2.0
-    truth = exact_envelope(signal, phase, bandwidth_hz=bandwidth_hz, poles=poles)
-    settings = {"rate_hz": RATE_HZ, "bandwidth_hz": bandwidth_hz, "poles": poles}
-    tracks = vold_kalman([signal], [phase], method="samples", **settings)
-    assert np.abs(tracks.amplitude[0, 0] - truth).max() < 1e-11
+@pytest.mark.parametrize(("bandwidth_hz", "share"), [(40.0, 1e-3), (150.0, 1e-2)])
+def test_a_wide_band_is_that_of_the_dense_problem_on_knots_of_few_samples(bandwidth_hz: float, share: float) -> None:
+    phase, noise = run_up(400), np.random.default_rng(2).normal(size=400)
+    truth = exact_envelope(noise + 2.0, phase, bandwidth_hz=bandwidth_hz, poles=2)
+    tracks = vold_kalman([noise + 2.0], [phase], rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
+    wrong = np.sqrt(np.mean(np.abs(tracks.amplitude[0, 0] - truth) ** 2))
+    assert wrong < share * np.sqrt(np.mean(np.abs(truth) ** 2))
 
 
 @pytest.mark.cases(1)
@@ -86,7 +82,7 @@ def test_on_knots_it_is_the_solution_of_the_dense_problem_but_for_what_is_far_fr
     for bandwidth_hz in (1e-2 if poles < 3 else 0.5, 0.8, 4.0, 4.9 if poles == 1 else 15.0):
         truth = exact_envelope(noise, phase, bandwidth_hz=bandwidth_hz, poles=poles)
         settings = {"rate_hz": RATE_HZ, "bandwidth_hz": bandwidth_hz, "poles": poles}
-        tracks = vold_kalman([noise], [phase], method="knots", **settings)
+        tracks = vold_kalman([noise], [phase], **settings)
         wrong = np.sqrt(np.mean(np.abs(tracks.amplitude[0, 0] - truth) ** 2))
         assert wrong < share * np.sqrt(np.mean(np.abs(truth) ** 2))
 
@@ -136,37 +132,6 @@ def test_a_shift_of_the_phase_reference_turns_the_amplitude() -> None:
     assert np.abs(moved * np.exp(0.6j * np.pi) - plain).max() < 1e-12
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("block", [999, 4_096])
-def test_blocks_and_whole_agree(block: int) -> None:
-    rng = np.random.default_rng(4)
-    n = 20_000
-    phase, signals = np.stack([run_up(n), run_up(n, order=1.5)]), rng.normal(size=(2, n))
-    usable = np.ones(n, dtype=bool)
-    usable[7_000:7_500] = False
-    whole = vold_kalman(signals, phase, rate_hz=RATE_HZ, bandwidth_hz=[1.0, 2.0], usable=usable)
-    bandwidth_hz = np.array([[1.0, 1.0], [2.0, 2.0]])
-    system = EnvelopeSystem(n_samples=n, n_channels=2, bandwidth_hz=bandwidth_hz, rate_hz=RATE_HZ, poles=2)
-    parts = [slice(begin, min(n, begin + block)) for begin in range(0, n, block)]
-    for part in parts:
-        system.add(signals[:, part], phase[:, part], usable[part], begin=part.start)
-    solution = system.solve()
-    for part in parts:
-        found, residual = system.read(solution, signals[:, part], phase[:, part], usable[part], begin=part.start)
-        assert np.abs(found - whole.amplitude[:, :, part]).max() < 1e-12
-        assert np.array_equal(np.isnan(residual), np.isnan(whole.residual[:, part]))
-
-
-def test_blocks_solved_at_every_sample_have_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(5)
-    phase, signal = run_up(9_000)[None], rng.normal(size=(1, 9_000))
-    whole = vold_kalman(signal, phase, rate_hz=RATE_HZ, bandwidth_hz=60.0)
-    monkeypatch.setattr("crankorder.orders.vold_kalman.filter.BLOCK", 2_000)
-    parts = vold_kalman(signal, phase, rate_hz=RATE_HZ, bandwidth_hz=60.0)
-    assert whole.method == parts.method == "samples"
-    assert np.abs(whole.amplitude - parts.amplitude).max() < 1e-12
-
-
 def test_a_bandwidth_that_varies_is_met_everywhere() -> None:
     rng = np.random.default_rng(6)
     n = 40_000
@@ -192,7 +157,7 @@ def test_single_precision_agrees_to_its_own_rounding() -> None:
 def test_orders_that_move_together_are_refused_by_name() -> None:
     phase, noise = run_up(8_000), np.random.default_rng(8).normal(size=(1, 8_000))
     for near in (phase.copy(), phase * 1.0002):
-        with pytest.raises(RequestError, match="components 0 and 1 cannot be told apart"):
+        with pytest.raises(RequestError, match="component 0 and component 1 cannot be told apart"):
             vold_kalman(noise, [phase, near], rate_hz=RATE_HZ, bandwidth_hz=5.0)
 
 
@@ -209,7 +174,6 @@ def test_a_wrong_request_says_what_is_wrong() -> None:
         ({"bandwidth_hz": 1000.0}, "no such bandwidth"),
         ({"bandwidth_hz": [1.0, 2.0]}, "do not fit the orders"),
         ({"usable": np.ones(5, dtype=bool)}, "usable does not fit"),
-        ({"bandwidth_hz": 0.01, "method": "samples"}, "too narrow to solve at every sample"),
     ):
         settings = {"rate_hz": RATE_HZ, "bandwidth_hz": 2.0} | change
         with pytest.raises(RequestError, match=words):
