@@ -141,13 +141,14 @@ def growth(line: OrderLine) -> Growth | None:
     kept = ~deviating
     if np.count_nonzero(kept) < NUMBERS.fewest_speeds or not np.ptp(x[kept]) > 0.0:
         kept = np.ones(len(x), dtype=np.bool_)
-    exponent, exponent_error, level, excess, chance = _weighted_line(x[kept], y[kept], error[kept])
+    told = power_law(x[kept], y[kept], error[kept])
+    exponent, exponent_error, excess = told.exponent, float(np.sqrt(told.exponent_variance)), told.scatter
     degrees_of_freedom = _degrees_of_freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
     few_deviate = bool(np.count_nonzero(~kept) <= NUMBERS.largest_deviating_share * len(x))
-    fits, near = few_deviate and chance >= NUMBERS.fit_chance, few_deviate and excess < NUMBERS.law_scatter
+    fits, near = few_deviate and told.chance >= NUMBERS.fit_chance, few_deviate and excess < NUMBERS.law_scatter
     law = _law(exponent, half_width(degrees_of_freedom) * exponent_error, fits=fits, near=near)
-    away, level = tuple(speed[~kept].tolist()), float(np.exp(level))
-    return Growth(exponent, exponent_error, degrees_of_freedom, law, chance, excess, away, level, middle_rpm)
+    away, level = tuple(speed[~kept].tolist()), float(np.exp(told.level - exponent * told.mean))
+    return Growth(exponent, exponent_error, degrees_of_freedom, law, told.chance, excess, away, level, middle_rpm)
 
 
 def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
@@ -207,21 +208,57 @@ def _excess(residual: Floats, error: Floats) -> float:
     return excess_scatter(misfit, max(len(residual) - 2, 1), most=most, within=1e-9)
 
 
-def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, float, float, float]:
-    """Slope, its error, the level at 0, the excess scatter and the chance of a worse fit without that scatter."""
-    excess, slope, chance = 0.0, 0.0, 1.0
-    for step in range(4):
+@dataclass(frozen=True)
+class PowerLaw:
+    """log amplitude = ``level`` + ``exponent`` · (log speed - ``mean``), from speeds that scatter about it.
+
+    ``level_variance`` and ``exponent_variance`` are apart; ``scatter`` is the standard deviation of the logarithm
+    beyond the amplitudes' own errors, ``scale`` by how much all variances are to be widened for ``freedom`` degrees of
+    freedom; ``chance`` is that of a worse fit without the scatter.
+    """
+
+    mean: float
+    level: float
+    exponent: float
+    level_variance: float
+    exponent_variance: float
+    scatter: float
+    scale: float
+    freedom: int
+    chance: float
+
+    def excess(self, x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
+        """Logarithm ``y`` of amplitudes over the law at ``x``, and its standard error: (speeds,) each.
+
+        ``x`` is the logarithm of speed, ``error`` that of ``y``; they took no part in the law.
+        """
+        of_law = self.level_variance + (x - self.mean) ** 2 * self.exponent_variance
+        excess = y - self.level - self.exponent * (x - self.mean)
+        return excess, np.sqrt(self.scale * (of_law + error**2 + self.scatter**2))
+
+
+def power_law(x: Floats, y: Floats, error: Floats) -> PowerLaw:
+    """Power law of log amplitudes ``y`` with their ``error`` against log speeds ``x``: (speeds,) each.
+
+    Three speeds or more, not all alike. They are weighted by their errors and by a scatter common to all (Paule and
+    Mandel 1982); variances widened by ``scale`` are those of the residuals, so that Student's t holds (Knapp and
+    Hartung 2003).
+    """
+    excess, chance = 0.0, 1.0
+    for step in range(5):
         weight = 1.0 / (error**2 + excess**2)
-        mean = float(np.average(x, weights=weight))
-        slope = float(weight @ ((x - mean) * y) / (weight @ (x - mean) ** 2))
-        residual = y - float(np.average(y, weights=weight)) - slope * (x - mean)
+        mean, level = (float(np.average(values, weights=weight)) for values in (x, y))
+        away = x - mean
+        slope = float(weight @ (away * y) / (weight @ away**2))
+        residual = y - level - slope * away
+        cost = float(residual**2 @ weight)
         if step == 0:
-            chance = float(gammaincc(0.5 * (len(x) - 2), 0.5 * float(residual**2 @ weight)))
-        excess = _excess(residual, error)
-    weight = 1.0 / (error**2 + excess**2)
-    mean = float(np.average(x, weights=weight))
-    level = float(np.average(y, weights=weight)) - slope * mean
-    return slope, float(1.0 / np.sqrt(weight @ (x - mean) ** 2)), level, excess, chance
+            chance = float(gammaincc(0.5 * (len(x) - 2), 0.5 * cost))
+        if step < 4:
+            excess = _excess(residual, error)
+    variances = float(1.0 / weight.sum()), float(1.0 / (weight @ away**2))
+    freedom = len(x) - 2
+    return PowerLaw(mean, level, slope, *variances, excess, max(cost / freedom, 1e-12), freedom, chance)
 
 
 @functools.lru_cache(maxsize=256)
