@@ -299,7 +299,7 @@ def _energy_of_lines(looked: _LookedAt, number: int, rows: Ints, energy: Floats)
 
     weight = np.nan_to_num(lines.stated[number, rows]) + 1e-150  # alike where none of a group was seen
     part = weight / together(weight)
-    return np.maximum(0.0, (part * together(_sums(place, over[owner >= 0], shape))).sum(axis=0))
+    return np.asarray(np.maximum(0.0, (part * together(_sums(place, over[owner >= 0], shape))).sum(axis=0)))
 
 
 def _groups(centre: Floats, near: float) -> Ints:
