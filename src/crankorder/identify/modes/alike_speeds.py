@@ -186,9 +186,7 @@ def _chain(
 def _tone(parted: _Parted, settings: IdentifySettings) -> Tone:
     """The fixed line ``parted``, in the channels that show it; mains where it may be."""
     hertz, error = float(parted.places.mean()), parted.error
-    size, own = (np.array([getattr(line, key) for _, line in parted.seen]) for key in ("amplitude", "error"))
-    mean = np.array([of_channel.mean() for of_channel in size.T])
-    amplitude = shown_amplitudes(parted.seen[0][0].channels, mean, size, own)
+    amplitude = shown_amplitudes(parted.seen)
     near = multiples_near(hertz, error, settings=settings)
     words = f"no damping, {times_mains(*near[0])}" if near else "no damping"
     return Tone(hertz, error, "mains" if near else "tone", amplitude, f"{words}; {PARTED.format(len(parted.seen))}")
