@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
 from crankorder.findings import CrossingFinding, Verdict
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Whirl
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Seen, Whirl
 from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
 from crankorder.identify.lines.growth import PowerLaw, power_law
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
@@ -20,21 +20,6 @@ from crankorder.records import Ends, finite
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 TREND_NUMBERS = MethodNumbers("5-identify-explain.toml", "above_trend")
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What one channel says of one crossing: ``chance`` that an order without the mode looks like that.
-
-    ``ratio`` with its interval is that of the amplitude at ``at_rpm`` to the trend beside; None where there is none.
-    """
-
-    channel: str
-    chance: float
-    at_rpm: float | None = None
-    ratio: float | None = None
-    ratio_low: float = 0.0
-    ratio_high: float = np.inf
 
 
 def width_rpm(rpm: float, mode: Mode, settings: IdentifySettings) -> float:
@@ -173,9 +158,10 @@ def crossings(
             crossing = _unmeasured(agreed.order, fit.modes[number], whirl, speed_rpm, settings)
             rpm, near = crossing.finding.rpm, width_rpm(crossing.finding.rpm, crossing.mode, settings)
             others = [(60.0 * mode.frequency_hz / agreed.order, mode.damping_ratio) for mode in fit.modes]
-            seen = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
-            seen += [test for of in responses_to(agreed.order, fit) for test in _by_residue(of, number, fit)]
-            met.append((_measured(crossing, agreed, number, seen, fit, tested, near), seen))
+            trends = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
+            crossing = replace(crossing, trends=tuple(trends))
+            seen = trends + [test for of in responses_to(agreed.order, fit) for test in _by_residue(of, number, fit)]
+            met.append((_measured(crossing, agreed, number, fit, tested, near), seen))
     unmeasured = [
         _unmeasured(order, fit.modes[number], whirl, speed_rpm, settings)
         for order in stated
@@ -240,12 +226,12 @@ def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
 
 
 def _measured(
-    crossing: Crossing, agreed: AgreedOrder, number: int, seen: list[Seen], modal: ModalFit, tested: Floats, near: float
+    crossing: Crossing, agreed: AgreedOrder, number: int, modal: ModalFit, tested: Floats, near: float
 ) -> Crossing:
     """``crossing`` as the amplitudes of ``agreed`` show it, with the verdict that it has where it is not excited.
 
-    ``seen`` is what each channel says of the order with and without mode ``number`` of ``modal``; ``tested`` are all
-    speeds in rpm, of which those within ``near`` count as at the crossing.
+    The mode is that of the ``number`` in ``modal``; ``tested`` are all speeds in rpm, of which those within ``near``
+    count as at the crossing.
     """
     mode, whirl, finding = crossing.mode, crossing.whirl, crossing.finding
     of_order, freedom = agreed.order_error / agreed.order, ENDLESS_FREEDOM
@@ -266,7 +252,7 @@ def _measured(
     )
     if not finding.in_range:
         return replace(crossing, finding=finding)
-    trends = [excess for excess in seen if excess.ratio is not None]
+    trends = crossing.trends
     trend = min(trends, key=lambda excess: excess.chance, default=None)
     by_fit = [excess for fit in fitted if (excess := fitted_excess(fit, number, modal)) is not None]
     best = None if trend is None else higher(trend, by_fit)
