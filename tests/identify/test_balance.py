@@ -227,6 +227,24 @@ def test_a_mass_put_on_or_taken_from_the_rotor_tells_size_and_angle_of_the_resid
     assert len(record["influence"]) == 9
 
 
+def test_without_noise_sizes_angles_and_influence_are_exact():
+    before, trial = 800 * np.exp(1j * np.radians(35)), 1000 * np.exp(1j * np.radians(100))
+    maps = two_maps(5, (before, before + trial), noise=1e-7)
+    record = weighed(maps, mass_g=20.0, radius_mm=50.0, angle_deg=100.0)
+    for size, angle, true in (
+        ("residual_rotating_gmm", "angle_deg", before), ("residual_after_gmm", "angle_after_deg", before + trial)
+    ):  # fmt: skip
+        assert record[size] * np.exp(1j * np.radians(record[angle])) == pytest.approx(true, rel=1e-4)
+    first = record["influence"][0]
+    phasors = [
+        float(item["coherent_amplitude"][0, 0].sel(order=1.0))
+        * np.exp(1j * np.radians(float(item["phase"][0, 0].sel(order=1.0))))
+        for item in maps
+    ]
+    influence = first["response_per_unit"] * np.exp(1j * np.radians(first["phase_deg"]))
+    assert influence == pytest.approx((phasors[1] - phasors[0]) / trial, rel=1e-4)
+
+
 def test_a_mass_on_the_piston_tells_grams_along_the_cylinder():
     engine = engine_of()
     maps = two_maps(2, (0.0, 0.0), engine=engine, residuals=(0.116, 0.166), speeds=np.arange(500.0, 2001.0, 100.0))

@@ -337,13 +337,32 @@ class ModalFit:
         return float(self.frequency_hz[1] - self.frequency_hz[0]) if len(self.frequency_hz) > 1 else 0.0
 
 
+@dataclass(frozen=True)
+class Seen:
+    """What one channel says of one crossing: ``chance`` that an order without the mode looks like that.
+
+    ``ratio`` with its interval is that of the amplitude at ``at_rpm`` to the trend beside; None where there is none.
+    """
+
+    channel: str
+    chance: float
+    at_rpm: float | None = None
+    ratio: float | None = None
+    ratio_low: float = 0.0
+    ratio_high: float = np.inf
+
+
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """The ``finding`` of an order that meets a ``mode``; the ``whirl`` that has it there, None of a mode that stays."""
+    """The ``finding`` of an order that meets a ``mode``; the ``whirl`` that has it there, None of a mode that stays.
+
+    ``trends``: how the order stands over its trend beside, in the channels that tell.
+    """
 
     finding: CrossingFinding
     mode: Mode
     whirl: Whirl | None = None
+    trends: tuple[Seen, ...] = ()
 
     @property
     def ends_rpm(self) -> Ends:

@@ -280,11 +280,11 @@ ROTOR_RADIUS_M = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
-    mass_kg: Complexes
-    covariance: Floats
-    freedom: float
+    """Masses of one order in a ``split``, the share of the order that the paths ``missed``, and speeds that told."""
+
+    split: Split
     missed: float
-    rows: int
+    speeds: int
 
 
 def by_stated_paths(
@@ -311,11 +311,11 @@ def by_stated_paths(
     if pistons and engine is not None and 2 in engine.shafts.every_order and 2 in measured.orders and "Z" in directions:
         parts.append((2, ("Z",)))
     fits = [_forces(measured, order, axes, paths, radius_m) for order, axes in parts]
-    split = _split_by_paths(fits, parts, engine if pistons else None)
+    split = _split_by_paths([forces.split for forces in fits], engine if pistons else None)
     record = split_record(split, engine=engine) if pistons and engine is not None else rotor_record(split)
     used = sorted({path.channel for path in paths})
     evidence = (
-        f"stated paths of {', '.join(used)} at {fits[0].rows} speeds in their range; they miss "
+        f"stated paths of {', '.join(used)} at {fits[0].speeds} speeds in their range; they miss "
         f"{100 * fits[0].missed:.0f} % of order 1; paths that are not stated are taken as none"
     )
     orders = tuple(order for order, _ in parts)
@@ -364,7 +364,8 @@ def _forces(
             covariance += np.outer(parts, parts)
     covariance = max(1.0, chi_square) * _noise(inverse, own, measured.correlation[at]) + covariance
     speeds = int(np.count_nonzero(usable.any(axis=0)))
-    return _Forces(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), missed, speeds)
+    sought, per_kg = tuple((order, axis) for axis in axes), np.ones(len(axes), dtype=np.complex128)
+    return _Forces(Split(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), sought, per_kg), missed, speeds)
 
 
 def _noise(inverse: Complexes, own: Floats, correlation: Complexes) -> Floats:
@@ -379,21 +380,16 @@ def _noise(inverse: Complexes, own: Floats, correlation: Complexes) -> Floats:
     return parts
 
 
-def _split_by_paths(fits: list[_Forces], parts: list[tuple[int, tuple[str, ...]]], engine: Engine | None) -> Split:
-    """All masses together: on the pistons where forces act along them alone, else at the crank radius."""
-    sought = tuple((order, axis) for order, axes in parts for axis in axes)
-    per_kg = np.ones(len(sought), dtype=np.complex128)
+def _split_by_paths(parts: list[Split], engine: Engine | None) -> Split:
+    """All masses of ``parts`` together: on the pistons where forces act along them alone, else at the crank radius."""
+    sought = tuple(place for part in parts for place in part.sought)
+    per_kg = np.concatenate([part.per_kg for part in parts])
     if engine is not None:
-        bare = engine.pistons_alone
         along_only = (1, "X") not in sought
         for number, (order, axis) in enumerate(sought):
             alone = along_only or (order == 2 and axis == DIRECTIONS[Z])
-            per_kg[number] = force_per_kg(bare, order, DIRECTIONS.index(axis), along_only=alone)
+            per_kg[number] = force_per_kg(engine.pistons_alone, order, DIRECTIONS.index(axis), along_only=alone)
     turn = side_by_side([np.array([[s.real, -s.imag], [s.imag, s.real]]) for s in 1 / per_kg])
-    return Split(
-        mass_kg=np.concatenate([forces.mass_kg for forces in fits]) / per_kg,
-        covariance=turn @ side_by_side([forces.covariance for forces in fits]) @ turn.T,
-        freedom=min(forces.freedom for forces in fits),
-        sought=sought,
-        per_kg=per_kg,
-    )
+    covariance = turn @ side_by_side([part.covariance for part in parts]) @ turn.T
+    masses = np.concatenate([part.mass_kg for part in parts]) / per_kg
+    return Split(masses, covariance, min(part.freedom for part in parts), sought, per_kg)

@@ -38,7 +38,6 @@ from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Findings, ModeFinding, TrialBalance
 from crankorder.identify.changes.mass_change import (
     balance_changes,
-    mass_record,
     trial_mass,
     unbalance_change,
     unbalance_record,
@@ -95,7 +94,6 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     records = tuple(unbalance_record(unbalance, changed=change.changed) for change, unbalance in unbalances)
     explaining = [unbalance for change, unbalance in unbalances if change.changed and unbalance.explains]
     added, unreadable = _masses_between(base, new)
-    masses = [mass_record(change, unbalance, added) for change, unbalance in unbalances if change.order == 1.0]
     trial, trial_reason = _trial_mass(base, new, added)
     order_records = tuple(_order_record(change, _explained(change, base, new)) for change in changes)
     mode_records = tuple(sorted(_with_claims(modes, q=q), key=lambda mode: mode.frequency_hz))
@@ -110,8 +108,7 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
         schema_version=SCHEMA_VERSION, base=base.name, new=new.name, runs=tuple(test.name for test in tests),
         false_discovery_rate=q, headline=(), cause=_explanation(order_records, mode_records, records, trends),
         speeds=speeds, channels=tuple(compared_channels), orders=order_records,
-        modes=mode_records, unbalance=records, masses=tuple(mass for mass in masses if mass),
-        trial_mass=trial, trial_mass_reason=unreadable or trial_reason,
+        modes=mode_records, unbalance=records, trial_mass=trial, trial_mass_reason=unreadable or trial_reason,
         balance=balance_changes(base.findings, new.findings, explaining), balance_reason=why_not,
         trend=trends, confounds=tuple(doubts),
     )  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy.special import fdtrc, fdtri
 
-from crankorder.comparison import BalanceChange, MassRecord, MassResponse, UnbalanceRecord
+from crankorder.comparison import BalanceChange, UnbalanceRecord
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import Z
 from crankorder.engine.machine_parts import AddedMass
@@ -104,14 +104,19 @@ def unbalance_change(change: OrderChange) -> Unbalance | None:
     freedom = float(np.sum(each_freedom))
     spare = 2.0 * (len(before) - 1)
     scatter = [max(1.0, chi2 / spare) if spare else 1.0 for chi2 in (misfit, law_misfit)]
-    # an estimated variance makes a square over it larger on average, by freedom / (freedom − 2)
-    fair = float(np.mean(np.maximum(each_freedom - 2.0, 0.5) / each_freedom))
-    fits = [float(fdtrc(spare, freedom, fair * chi2 / spare)) if spare else np.nan for chi2 in (misfit, law_misfit)]
+    fits = [_chance_of(chi2 / spare, spare, each_freedom) if spare else np.nan for chi2 in (misfit, law_misfit)]
     return Unbalance(
         change.channel, change.order, change.unit, speed,
         complex(factor), float(np.sqrt(variance * scatter[0])), freedom, fits[0],
         reference, complex(law), float(np.sqrt(1.0 / information * scatter[1])), fits[1],
     )  # fmt: skip
+
+
+def _chance_of(mean_square: float, spare: float, freedom: Floats) -> float:
+    """Chance of a larger mean square of ``spare`` residuals over variances, each estimated with its ``freedom``."""
+    # an estimated variance makes a square over it larger on average, by freedom / (freedom − 2)
+    fair = float(np.mean(np.maximum(freedom - 2.0, 0.5) / freedom))
+    return float(fdtrc(spare, float(np.sum(freedom)), fair * mean_square))
 
 
 def _slope(before: Complexes, after: Complexes, error: Floats, error2: Floats) -> tuple[complex, float, float]:
@@ -150,43 +155,6 @@ def unbalance_record(unbalance: Unbalance, *, changed: bool) -> UnbalanceRecord:
 
 def _degrees(value: complex) -> float:
     return float(np.degrees(cmath.phase(value)))
-
-
-def mass_record(change: OrderChange, unbalance: Unbalance, masses: Sequence[AddedMass]) -> MassRecord | None:
-    """Unbalance before and after ``masses`` were added, by their influence on the order; angles from where they sit.
-
-    Parameters
-    ----------
-    change : the order's change
-    unbalance : what became of it, from :func:`unbalance_change`
-    masses : masses put on; told in grams at their radius where all sit at one, in g·mm where they do not
-
-    With U before and U + added after, seen through one path, factor = 1 + added / U (influence coefficients: Goodman
-    1964, Trans. ASME B 86, 273). None where the factor cannot be told from 1, where the masses add up to none, and of
-    masses on the crank and on a piston together.
-    """
-    at_one_radius = len({mass.radius_mm for mass in masses}) == 1
-    arm = (masses[0].radius_mm if at_one_radius else None) or 1.0
-    added, apart = _unbalance_of(masses) / arm, unbalance.factor - 1.0
-    on_one_part = len({mass.on for mass in masses}) == 1
-    if not on_one_part or not added or abs(apart) <= NUMBERS.clear_sigmas * unbalance.factor_error:
-        return None
-    before = added / apart
-    after = unbalance.factor * before
-    half = abs(added) * unbalance.half / abs(apart) ** 2
-    error, _ = welch(change.base.vector_error, change.base.freedom, change.new.vector_error, change.new.freedom)
-    responses = zip(change.base_rpm, change.vector_change / added, Z95 * error / abs(added), strict=True)
-    return MassRecord(
-        channel=change.channel, unit="g" if at_one_radius else "g·mm", response_unit=change.unit, added=abs(added),
-        before=abs(before), before_ci95=size_interval(before, half),
-        before_angle_deg=_degrees(before) if half < abs(before) else None,
-        after=abs(after), after_ci95=size_interval(after, half),
-        after_angle_deg=_degrees(after) if half < abs(after) else None,
-        response_per_unit=tuple(
-            MassResponse(speed_rpm=finite(rpm), response=finite(abs(value)), response_ci95=size_interval(value, reach))
-            for rpm, value, reach in responses
-        ),
-    )  # fmt: skip
 
 
 class Estimate(NamedTuple):
@@ -276,8 +244,6 @@ def _balance_change(
 
 TRIAL_NUMBERS = MethodNumbers("5-identify-balance.toml", "trial_mass")
 
-SCATTER = 2.1
-"""Three times 0.7: mean square errors scatter by that over the root of the number of speeds, channels being alike."""
 VIBRATION = ("accel", "veloc", "displace", "vibration", "force")
 """Quantities in which an unbalance shows."""
 STEADY_REFERENCES = ("tdc", "index", "pulse")
@@ -404,40 +370,41 @@ def _multiple(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _Multipl
 
 
 def _solved(base: MeasuredOrders, after: Complexes, error: Floats) -> _Multiple | str:
-    """Least sum of |base (1 + u) − u after|² over its variance, by the complex multiple u."""
-    from scipy.optimize import least_squares
-
+    """Multiple u = 1 / (factor − 1), by the factor of unbalance that explains all channels and speeds at once."""
     usable = np.isfinite(base.error) & np.isfinite(error)
     y, z = base.amplitude[usable], after[usable]
     y_error, z_error = base.steady_error[usable], error[usable]
     change = after - base.amplitude
 
-    def left(p: Floats) -> Complexes:
-        u = complex(p[0], p[1])
-        distance: Complexes = (y * (1 + u) - u * z) / np.sqrt((abs(1 + u) * y_error) ** 2 + (abs(u) * z_error) ** 2)
-        return distance
-
     if (np.abs(change[usable]) ** 2).sum() < 9 * 2 * (y_error**2 + z_error**2).sum():
         return "the added mass changed nothing that stands clear of the noise: use a heavier one"
-    weight = 1 / (y_error**2 + z_error**2)
-    first = (weight * (z - y).conj() * y).sum() / (weight * np.abs(z - y) ** 2).sum()
-    fit = least_squares(lambda p: np.concatenate([left(p).real, left(p).imag]), [first.real, first.imag])
-    value, n = complex(*fit.x), int(np.count_nonzero(usable))
-    chi_square = 2 * float(fit.cost) / max(1, 2 * n - 2)
-    sound = chi_square < 1 + SCATTER / np.sqrt(np.count_nonzero(usable.any(axis=0)))
-    size = (np.abs(y * (1 + value)) ** 2 / ((abs(1 + value) * y_error) ** 2 + (abs(value) * z_error) ** 2)).sum()
-    missed = float(np.sqrt(0.0 if sound else (2 * fit.cost - 2 * n) / max(float(size), 1e-300)))
+    factor, misfit, _ = _slope(y, z, y_error, z_error)
+    value, n = 1.0 / (factor - 1.0), int(np.count_nonzero(usable))
+    variance = (abs(1 + value) * y_error) ** 2 + (abs(value) * z_error) ** 2
+    chi_square = misfit / max(1, 2 * n - 2)
+    freedom = np.array([base.freedom[of_speed, k].mean() for k, of_speed in enumerate(usable.T) if of_speed.any()])
+    # channels are counted as telling the same
+    sound = _chance_of(chi_square, max(2.0 * len(freedom) - 2.0, 2.0), freedom) >= NUMBERS.fit_chance
+    size = (np.abs(y * (1 + value)) ** 2 / variance).sum()
+    missed = float(np.sqrt(0.0 if sound else (misfit - 2 * n) / max(float(size), 1e-300)))
     if missed > TRIAL_NUMBERS.largest_misfit_share:
         return (
             f"the residual does not act where the mass was added: no multiple of it explains order {base.orders[0]}, "
             f"{100 * missed:.0f} % stay; add one elsewhere (on the piston, in another plane)"
         )
+    left = (y * (1 + value) - value * z) / np.sqrt(variance)
+    grows = y_error**2 + (y_error**2 + z_error**2) * value  # half the slopes of the variance by both parts of the value
+    slopes = np.stack(
+        [
+            (y - z) / np.sqrt(variance) - left * grows.real / variance,
+            1j * (y - z) / np.sqrt(variance) - left * grows.imag / variance,
+        ]
+    )
     slope = np.zeros((2, *base.error.shape), dtype=np.complex128)
-    for part in range(2):
-        slope[part][usable] = fit.jac[:n, part] + 1j * fit.jac[n:, part]
-    bread = np.linalg.pinv(fit.jac.T @ fit.jac)
+    slope[:, usable] = slopes
+    bread = np.linalg.pinv((slopes.conj() @ slopes.T).real)
     filling = np.einsum("pcr,rcd,qdr->pq", slope.conj(), base.correlation, slope).real
-    each = (np.abs(fit.jac[:n]) ** 2 + np.abs(fit.jac[n:]) ** 2).sum(axis=1)
+    each = np.square(np.abs(slopes)).sum(axis=0)
     share, unsure = each / each.sum(), base.own_share[usable] ** 2 / base.freedom[usable]
     # for weights that were estimated from the data: Meier (1953), Biometrics 9, 59
     wider = 1.0 + 4.0 * float(np.sum(share * (1.0 - share) * unsure))

@@ -34,10 +34,11 @@ from crankorder.identify.lines.line_phasors import (
 )
 from crankorder.identify.lines.mains import multiples_near
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
-from crankorder.identify.lines.order_lines import SWELLS, longer_frames
+from crankorder.identify.lines.order_lines import ONE_SPEED, SWELLS, longer_frames
 from crankorder.identify.lines.order_lines import SWEPT_NUMBERS as SWEPT_ORDERS
-from crankorder.identify.lines.several_orders import SOLVED, close_lines, lines_at
+from crankorder.identify.lines.several_orders import SOLVED, close_lines, lines_of_sightings
 from crankorder.identify.lines.zoom import Course, Zoomed
+from crankorder.orders.joint_lines import hann_lobe
 from crankorder.orders.true_angle import ERROR
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -189,14 +190,13 @@ def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySet
     places = close_lines(test.recordings, test.order_map, orders_between, doubtful, mains_hz=settings.mains_hz)
     for close in places:
         doubts = (Doubt("close lines", f"{len(close.solved)} {SOLVED}"),)
-        beyond = [unnamed for unnamed in orders if not close.low <= unnamed.number.order <= close.high]
-        orders = beyond + [
-            _Unnamed(number, lines, doubts)
-            for line in close.solved
-            if (lines := lines_at(line, test.order_map))
-            for free in [line.degrees_of_freedom]
-            for number in [_Number(line.order, line.order_error, free, True, parted_rev=close.span_rev)]
-        ]
+        orders = [unnamed for unnamed in orders if not close.low <= unnamed.number.order <= close.high]
+        for line in close.solved:
+            lines = lines_of_sightings([(close.held, line)], (line.order, line.order_error), test.order_map)
+            freedom, span_rev = line.degrees_of_freedom, close.held.span_rev
+            number = _Number(line.order, line.order_error, freedom, True, parted_rev=span_rev)
+            if lines:
+                orders.append(_Unnamed(number, [replace(of, doubts=(ONE_SPEED,)) for of in lines], doubts))
     return orders
 
 
@@ -459,24 +459,23 @@ def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | N
 
 def _rebuilt(group: list[OrderLine], test: _Test, zoomed: dict[int, Zoomed], number: _Number) -> list[OrderLine]:
     """Lines of the channels of ``group`` with amplitudes of the one component ``zoomed`` in the recordings alone."""
-    speed = test.order_map["speed"].values
-    lines = []
+    speed, mean_rpm, seen = test.order_map["speed"].values, dict[int, float](), dict[int, Zoomed]()
+    for k, z in zoomed.items():  # of several recordings at a speed the slowest
+        own_rpm = float(np.mean(test.recordings[k].speed_rpm))
+        distance = np.abs(speed - own_rpm)
+        at = int(np.nanargmin(distance)) if np.isfinite(distance).any() else 0
+        if at not in seen or own_rpm < mean_rpm[at]:
+            mean_rpm[at], seen[at] = own_rpm, z
+    rows, lines = np.array(sorted(seen)), []
+    rpm, freedom, offset = np.array([(mean_rpm[at], seen[at].dof, seen[at].offset) for at in rows.tolist()]).T
+    loss = hann_lobe(offset / test.resolution)
     for channel, line in enumerate(group):
-        rows = []
-        for k, z in zoomed.items():
-            mean_rpm = float(np.mean(test.recordings[k].speed_rpm))
-            distance = np.abs(speed - mean_rpm)
-            seen = int(np.nanargmin(distance)) if np.isfinite(distance).any() else 0
-            bins = z.offset / test.resolution
-            loss = float(np.sinc(bins) / (1.0 - bins**2)) if abs(abs(bins) - 1.0) > 1e-6 else 0.5
-            rows.append((seen, mean_rpm, abs(z.amplitude[channel]) / loss, float(z.error[channel]) / loss, z.dof))
-        rows.sort()
-        rows = [row for i, row in enumerate(rows) if i == 0 or row[0] != rows[i - 1][0]]
-        seen_at, rpm, amplitude, error, freedom = (np.array(column) for column in zip(*rows, strict=True))
+        amplitude = np.array([abs(seen[at].amplitude[channel]) for at in rows.tolist()]) / loss
+        error = np.array([seen[at].error[channel] for at in rows.tolist()]) / loss
         clear = amplitude > 3.0 * error
         if clear.any():
-            columns = (column[clear] for column in (seen_at, rpm, amplitude, error, freedom))
-            lines.append(line.read_again((number.order, number.error), *columns))
+            of_rows = rows[clear], rpm[clear], amplitude[clear], error[clear], freedom[clear]
+            lines.append(line.read_again((number.order, number.error), *of_rows))
     return lines or group
 
 

@@ -15,7 +15,7 @@ from crankorder.findings import Lock
 from crankorder.identify.found import Doubt, OrderLine
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.zoom import NUMBERS as ZOOM
-from crankorder.identify.lines.zoom import Course, Zoomed, course_of, drift_turn_rev, zoomed
+from crankorder.identify.lines.zoom import Course, Frames, Zoomed, course_of, drift_turn_rev, zoomed
 from crankorder.orders.joint_lines import Band, HeldFrames, Place, hann_lobe, joint_lines
 from crankorder.orders.like_speed import common_frames
 from crankorder.quantities import Complexes, Floats, flags_of
@@ -215,17 +215,9 @@ def zooms(
     lines: dict[int, Zoomed] = {}
     for number, (recording, phasors, centre, speed) in picked.items():
         swept = is_swept(speed)
-        line = zoomed(
-            phasors,
-            centre,
-            revs=recording.revs,
-            hop_rev=recording.hop_rev,
-            swept=swept,
-            drift=_drift(centre, speed),
-            noise=_noise_beside(recording, channels, at, centre) if swept else None,
-            near=near,
-            alone=alone,
-        )
+        frames = Frames(centre, recording.revs, recording.hop_rev, swept, _drift(centre, speed))
+        noise = _noise_beside(recording, channels, at, centre) if swept else None
+        line = zoomed(phasors, frames, noise=noise, near=near, alone=alone)
         if line is not None:
             lines[number] = _solved_together(line, recording, channels, at, centre)
     return lines

@@ -295,24 +295,21 @@ def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequenc
 
 def _as_tone(hertz: float, group: Sequence[LineSeen], words: str) -> Tone:
     """A tone at ``hertz``, as large as the recordings of ``group`` hold it together."""
-    size = np.array([seen.sighting.amplitude for seen in group])
-    error = np.array([seen.sighting.error for seen in group])
-    mean = np.sqrt(np.mean(size**2, axis=0))
     seconds = min(float(np.ptp(seen.held.time_s)) for seen in group)
     wander = max(float(np.std([seen.hertz for seen in group])), 0.05 / max(seconds, 1.0))
-    return Tone(hertz, wander, "mains", shown_amplitudes(group[0].held.channels, mean, size, error), words)
+    return Tone(hertz, wander, "mains", shown_amplitudes([(seen.held, seen.sighting) for seen in group]), words)
 
 
-def shown_amplitudes(
-    channels: Sequence[str], mean: Floats, size: Floats, error: Floats
-) -> dict[str, tuple[float, float]]:
-    """The ``mean`` (channels,) amplitude of a line and its standard error, in the ``channels`` that show it.
+def shown_amplitudes(seen: Sequence[tuple[HeldFrames, Sighting]]) -> dict[str, tuple[float, float]]:
+    """Mean amplitude of a line ``seen`` in recordings, and its standard error, in the channels that show it.
 
-    ``size`` and ``error`` (recordings, channels) are those of each recording, whose scatter counts.
+    Their own errors count, and their scatter.
     """
+    size, error = (np.array([getattr(line, key) for _, line in seen]) for key in ("amplitude", "error"))
+    mean = np.sqrt(np.mean(size**2, axis=0))
     own = np.sqrt(np.mean(error**2, axis=0) / len(size))
     spread = size.std(axis=0) / np.sqrt(max(len(size) - 1, 1))
-    shown = [(name, k) for k, name in enumerate(channels) if mean[k] > Z95 * own[k]]
+    shown = [(name, k) for k, name in enumerate(seen[0][0].channels) if mean[k] > Z95 * own[k]]
     return {name: (float(mean[k]), float(np.hypot(own[k], spread[k]))) for name, k in shown}
 
 

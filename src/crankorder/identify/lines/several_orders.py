@@ -14,7 +14,7 @@ from crankorder.identify.lines.known_lines import held_recordings
 from crankorder.identify.lines.line_phasors import Recording
 from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
-from crankorder.identify.lines.order_lines import ONE_SPEED, largest_within
+from crankorder.identify.lines.order_lines import largest_within
 from crankorder.orders.joint_lines import LOBE_BINS, Band, HeldFrames, JointLines, Place, Sighting, joint_lines
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.quantities import Bools, Floats, Ints
@@ -142,11 +142,11 @@ SOLVED = "lines within a quarter order, solved together"
 
 @dataclass(frozen=True, eq=False)
 class CloseLines:
-    """Lines ``solved`` between the orders ``low`` and ``high`` of a recording of ``span_rev`` revolutions."""
+    """Lines ``solved`` between the orders ``low`` and ``high`` of a recording ``held``."""
 
     low: float
     high: float
-    span_rev: float
+    held: HeldFrames
     solved: tuple[Sighting, ...]
 
 
@@ -185,7 +185,7 @@ def close_lines(
             continue
         inside = lines_within(held, low, high)
         if len(inside) > max(len(orders), 1) and not _is_modulated(inside):
-            close.append(CloseLines(low, high, held.span_rev, tuple(inside)))
+            close.append(CloseLines(low, high, held, tuple(inside)))
     return close
 
 
@@ -224,13 +224,19 @@ def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:
     return list(map(int, np.flatnonzero(peaks)))
 
 
-def lines_at(solved: Sighting, order_map: xr.Dataset) -> list[OrderLine]:
-    """The line ``solved`` in each channel of ``order_map`` that shows it."""
-    rpm, number = np.asarray(order_map["speed"].values, dtype=np.float64), (solved.order, solved.order_error)
-    numbers = order_map["channel"].values, solved.amplitude.tolist(), solved.error.tolist()
-    return [
-        replace(OrderLine.steady(str(name), number, rows, solved.degrees_of_freedom), doubts=(ONE_SPEED,))
-        for name, size, error in zip(*numbers, strict=True)
-        if size > Z95 * error
-        for rows in [(np.array([0]), rpm, np.array([size]), np.array([error]))]
-    ]
+def lines_of_sightings(
+    seen: Sequence[tuple[HeldFrames, Sighting]], number: tuple[float, float], order_map: xr.Dataset
+) -> tuple[OrderLine, ...]:
+    """Line of a ``number`` (order and its standard error) in each channel that shows it, as recordings hold it.
+
+    ``seen`` are these, each with its sighting; rows and speeds are those of the OrderMap ``order_map``.
+    """
+    speed = np.asarray(order_map["speed"].values, dtype=np.float64)
+    rows = {int(np.nanargmin(np.abs(speed - held.rpm))): sighting for held, sighting in seen}
+    freedom, lines = min(sighting.degrees_of_freedom for _, sighting in seen), list[OrderLine]()
+    for k, name in enumerate(seen[0][0].channels):
+        clear = [row for row, sighting in sorted(rows.items()) if sighting.amplitude[k] > Z95 * sighting.error[k]]
+        size, error = (np.array([getattr(rows[row], key)[k] for row in clear]) for key in ("amplitude", "error"))
+        if clear:
+            lines.append(OrderLine.steady(name, number, (np.array(clear), speed[clear], size, error), freedom))
+    return tuple(lines)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.fft import fft
@@ -49,13 +50,25 @@ class Zoomed:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames of a recording: their ``turn`` [rev] from its middle, their length ``revs``, and whether the speed is
-    ``swept``; ``drift`` is the share by which a speed that is held drifts."""
+    """Frames of a recording: crank angles [rev] of their middles ``centre_rev`` (frames,), their length ``revs`` and
+    ``hop_rev`` from one to the next; whether the speed is ``swept``; ``drift`` is the share by which a speed that is
+    held drifts from the first to the last frame."""
 
-    turn: Floats
+    centre_rev: Floats
     revs: float
-    swept: bool
+    hop_rev: float
+    swept: bool = False
     drift: float = 0.0
+
+    @property
+    def middle(self) -> float:
+        """Crank angle [rev] of the middle of the recording."""
+        return float(0.5 * (self.centre_rev[0] + self.centre_rev[-1]))
+
+    @cached_property
+    def turn(self) -> Floats:
+        """Crank angle [rev] of each frame from the middle of the recording."""
+        return self.centre_rev - self.middle
 
     def noise_of(self, rows: Floats, offset: float) -> Floats:
         """Noise amplitude of each of ``rows`` (rows, frames) of a line at ``offset`` in white noise of unit power.
@@ -81,16 +94,7 @@ def drift_turn_rev(drift: float) -> float:
 
 
 def zoomed(
-    phasors: Complexes,
-    centre_rev: Floats,
-    *,
-    revs: float,
-    hop_rev: float,
-    swept: bool = False,
-    drift: float = 0.0,
-    noise: Floats | None = None,
-    near: float | None = None,
-    alone: bool = False,
+    phasors: Complexes, frames: Frames, *, noise: Floats | None = None, near: float | None = None, alone: bool = False
 ) -> Zoomed | None:
     """The line in one bin of the frames of one recording, or None where it is too weak there to follow its phase.
 
@@ -101,21 +105,15 @@ def zoomed(
     Parameters
     ----------
     phasors : (channels, frames), complex amplitudes whose phase is that from crank angle 0
-    centre_rev : (frames,), rev, crank angle of the middle of each
-    revs : rev, length of a frame
-    hop_rev : rev, from frame to frame: distances beyond half its reciprocal cannot be told from smaller ones
-    swept : whether the speed changes so much that the structure may turn the phase
-    drift : share by which a speed that is held drifts from the first to the last frame
+    frames : where they stand: distances beyond half the reciprocal of their hop cannot be told from smaller ones
     noise : (channels, frames), noise power of each in a run-up; without it only the phase as a whole is followed
     near : distance from the bin that is expected; None looks everywhere that can be told
     alone : whether no second line is looked for
     """
-    span = float(np.ptp(centre_rev)) if len(centre_rev) else 0.0
-    if len(centre_rev) < 2 or span <= 0.0:
+    span = float(np.ptp(frames.centre_rev)) if len(frames.centre_rev) else 0.0
+    if len(frames.centre_rev) < 2 or span <= 0.0:
         return None
-    middle = 0.5 * (centre_rev[0] + centre_rev[-1])
-    turn = centre_rev - middle
-    frames, given = Frames(turn, revs, swept, drift), phasors
+    turn, hop_rev, swept, given = frames.turn, frames.hop_rev, frames.swept, phasors
     if swept and len(turn) >= 8:
         rows = _polynomials(turn, 2)  # over the smooth growth of a run-up, of the same mean
         growth = np.exp((np.log(np.maximum(np.abs(phasors), 1e-300)) @ rows.T) @ rows)
@@ -127,7 +125,7 @@ def zoomed(
     left = np.maximum(total - power.max(axis=1), 1e-9 * total)
     offset = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
     line = _followed(phasors, frames, offset)
-    second = _second(phasors, frames, line, hop_rev) if not alone and line.snr > NUMBERS.beating_squared else None
+    second = _second(phasors, frames, line) if not alone and line.snr > NUMBERS.beating_squared else None
     if second is not None:
         others = phasors - _waves(second, turn)
         line = _followed(others, frames, line.offset)
@@ -138,14 +136,14 @@ def zoomed(
     if line.snr < NUMBERS.seen_squared and course is None:
         return None
     wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
-    beside_it = None if second is None else replace(second, amplitude=_at_zero(second, middle))
+    beside_it = None if second is None else replace(second, amplitude=_at_zero(second, frames.middle))
     if course is not None:  # it tells the order between the modes that the run-up crosses
         variance = (course.half / NUMBERS.sure_sigmas) ** 2
         line = replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
     elif swept:
         several = 0.0 if second is not None else (NUMBERS.swept_turns_rev / line.span_rev) ** 2
         line = replace(line, swept=True, variance=line.variance + several)
-    return replace(line, amplitude=_at_zero(line, middle), wander=wander, second=beside_it)
+    return replace(line, amplitude=_at_zero(line, frames.middle), wander=wander, second=beside_it)
 
 
 def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> float:
@@ -247,13 +245,13 @@ def _polynomials_of(turn: bytes, degrees: int) -> Floats:
     return rows
 
 
-def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) -> Zoomed | None:
+def _second(phasors: Complexes, frames: Frames, line: Zoomed) -> Zoomed | None:
     """A second line beside ``line``, where noise, a modulation or the skirts of ``line`` would not look like it."""
     turn, span = frames.turn, float(np.ptp(frames.turn))
     if len(turn) < 8:
         return None
     left = phasors - _waves(line, turn)
-    trial = _trials(span, hop_rev)
+    trial = _trials(span, frames.hop_rev)
     apart = np.abs(trial - line.offset) >= NUMBERS.second_cycles / span
     if np.count_nonzero(apart) < 8:
         return None

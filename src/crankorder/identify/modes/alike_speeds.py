@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import AgreedOrder, AgreedOrders, Doubt, ModalFit, OrderLine, Tone
+from crankorder.identify.found import AgreedOrder, AgreedOrders, Doubt, ModalFit, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.known_lines import LineSeen, found_near
@@ -16,6 +16,7 @@ from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple
 from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.mains import multiples_near, shown_amplitudes, with_mains_tones
 from crankorder.identify.lines.several_orders import (
+    lines_of_sightings,
     lines_within,
     several_lines,
     unparted_reach,
@@ -185,9 +186,7 @@ def _chain(
 def _tone(parted: _Parted, settings: IdentifySettings) -> Tone:
     """The fixed line ``parted``, in the channels that show it; mains where it may be."""
     hertz, error = float(parted.places.mean()), parted.error
-    size, own = (np.array([getattr(line, key) for _, line in parted.seen]) for key in ("amplitude", "error"))
-    mean = np.array([of_channel.mean() for of_channel in size.T])
-    amplitude = shown_amplitudes(parted.seen[0][0].channels, mean, size, own)
+    amplitude = shown_amplitudes(parted.seen)
     near = multiples_near(hertz, error, settings=settings)
     words = f"no damping, {times_mains(*near[0])}" if near else "no damping"
     return Tone(hertz, error, "mains" if near else "tone", amplitude, f"{words}; {PARTED.format(len(parted.seen))}")
@@ -225,23 +224,8 @@ def _agreed(parted: _Parted, order_map: xr.Dataset) -> AgreedOrder:
         exact = nearest_multiple(order, revs_per_cycle=turns)
         order, error = exact, max(error, abs(order - exact) / Z95)
     doubt = Doubt("close lines", f"{len(parted.seen)} recordings part it from what stands beside it")
-    channels = enumerate(parted.seen[0][0].channels)
-    lines = tuple(line for k, name in channels if (line := _line(parted, k, name, order, error, order_map)))
+    lines = lines_of_sightings(parted.seen, (order, error), order_map)
     return AgreedOrder(order, error, freedom, lock, None, lines, (doubt,))
-
-
-def _line(
-    parted: _Parted, channel: int, name: str, order: float, error: float, order_map: xr.Dataset
-) -> OrderLine | None:
-    """Order line of ``parted`` in the channel number ``channel``, by its ``name``; None where no row shows it."""
-    speed = np.asarray(order_map["speed"].values, dtype=np.float64)
-    rows = {int(np.nanargmin(np.abs(speed - held.rpm))): (held.rpm, line) for held, line in parted.seen}
-    parts = [(row, rpm, line.amplitude[channel], line.error[channel]) for row, (rpm, line) in rows.items()]
-    clear = sorted(part for part in parts if part[2] > Z95 * part[3])
-    if not clear:
-        return None
-    seen, rpm, size, own = (np.array(column) for column in zip(*clear, strict=True))
-    return OrderLine.steady(name, (order, error), (seen, rpm, size, own), parted.degrees_of_freedom)
 
 
 UNPARTED = "several lines that the recordings are too short to part, or one that swells"

@@ -109,7 +109,7 @@ def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings
     highest = max((order for sweep in spectra for order in sweep.orders), default=0.0)
     if not highest:
         return SweepFits()
-    cycle = int(followed[0].attrs["revs_per_cycle"])
+    cycle = spectra[0].cycle_rev
     return sweep_fits(spectra, others=(np.arange(1, cycle * highest + 1) / cycle).tolist(), settings=settings)
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
 from crankorder.findings import CrossingFinding, Verdict
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Whirl
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Seen, Whirl
 from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
+from crankorder.identify.lines.growth import PowerLaw, power_law
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import WithAndWithout, with_and_without
 from crankorder.quantities import Floats
@@ -19,21 +20,6 @@ from crankorder.records import Ends, finite
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 TREND_NUMBERS = MethodNumbers("5-identify-explain.toml", "above_trend")
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What one channel says of one crossing: ``chance`` that an order without the mode looks like that.
-
-    ``ratio`` with its interval is that of the amplitude at ``at_rpm`` to the trend beside; None where there is none.
-    """
-
-    channel: str
-    chance: float
-    at_rpm: float | None = None
-    ratio: float | None = None
-    ratio_low: float = 0.0
-    ratio_high: float = np.inf
 
 
 def width_rpm(rpm: float, mode: Mode, settings: IdentifySettings) -> float:
@@ -77,7 +63,8 @@ def above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple
     at = at[(line.amplitude[at] > 0.0) & np.isfinite(line.amplitude_error[at])]
     if not at.size or law is None:
         return []
-    excess, error = law.excess(speed[at], line.amplitude[at], line.amplitude_error[at])
+    relative = _relative(line.amplitude[at], line.amplitude_error[at])
+    excess, error = law.excess(np.log(speed[at]), np.log(line.amplitude[at]), relative)
     best = int(np.argmax(excess / error))
     chance = min(1.0, at.size * float(stdtr(law.freedom, -excess[best] / error[best])))
     half = half_width(law.freedom, level=1.0 - 0.05 / at.size) * error[best]
@@ -102,7 +89,11 @@ def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tup
     chosen = next((rows for rows in choices if np.count_nonzero(rows) >= TREND_NUMBERS.enough_beside), free)
     if np.count_nonzero(chosen) < TREND_NUMBERS.least_beside:
         return None
-    return power_law(speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen])
+    chosen &= (line.amplitude > 0.0) & np.isfinite(line.amplitude_error) & np.isfinite(speed)
+    speed, amplitude, error = speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen]
+    if len(speed) < 3 or np.ptp(speed) <= 1e-6 * float(np.mean(speed)):
+        return None
+    return power_law(np.log(speed), np.log(amplitude), _relative(amplitude, error))
 
 
 def _count_around(rpm: float, speeds_rpm: Floats) -> int:
@@ -113,68 +104,8 @@ def _count_around(rpm: float, speeds_rpm: Floats) -> int:
 LAW_NUMBERS = MethodNumbers("5-identify-explain.toml", "order_trend")
 
 
-@dataclass(frozen=True)
-class PowerLaw:
-    """log amplitude = ``level`` + ``exponent`` · log(speed / ``reference_rpm``), from speeds that scatter about it.
-
-    ``covariance`` (2, 2) of (level, exponent), with ``freedom`` degrees of freedom; ``scatter`` is the variance of the
-    logarithm beyond the amplitudes' own errors, ``scale`` by how much both are to be widened.
-    """
-
-    reference_rpm: float
-    level: float
-    exponent: float
-    covariance: Floats
-    scatter: float
-    scale: float
-    freedom: int
-
-    def excess(self, speed_rpm: Floats, amplitude: Floats, amplitude_error: Floats) -> tuple[Floats, Floats]:
-        """Logarithm of ``amplitude`` over the law at ``speed_rpm``, and its standard error: (speeds,) each.
-
-        ``amplitude_error`` are the standard errors of the amplitudes, which took no part in the law.
-        """
-        x = np.log(speed_rpm / self.reference_rpm)
-        own = _relative(amplitude, amplitude_error) ** 2 + self.scatter
-        of_law = self.covariance[0, 0] + 2.0 * x * self.covariance[0, 1] + x**2 * self.covariance[1, 1]
-        excess = np.log(amplitude) - self.level - self.exponent * x
-        return excess, np.sqrt(of_law + self.scale * own)
-
-
-def power_law(speed_rpm: Floats, amplitude: Floats, amplitude_error: Floats) -> PowerLaw | None:
-    """Power law of ``amplitude`` against ``speed_rpm``; None for fewer than three speeds or for one speed only.
-
-    All are (speeds,); ``amplitude_error`` are standard errors; speeds without either take no part. Speeds are weighted
-    by their errors and by a scatter common to all (DerSimonian and Laird 1986); the covariance is that of the
-    residuals, so that Student's t holds (Knapp and Hartung 2003).
-    """
-    known = (amplitude > 0.0) & np.isfinite(amplitude_error) & np.isfinite(speed_rpm)
-    speed_rpm, amplitude, amplitude_error = speed_rpm[known], amplitude[known], amplitude_error[known]
-    if len(speed_rpm) < 3 or np.ptp(speed_rpm) <= 1e-6 * float(np.mean(speed_rpm)):
-        return None
-    reference = float(np.exp(np.mean(np.log(speed_rpm))))
-    design = np.stack([np.ones(len(speed_rpm)), np.log(speed_rpm / reference)], axis=1)
-    y, own = np.log(amplitude), _relative(amplitude, amplitude_error) ** 2
-    freedom = len(y) - 2
-    weight = 1.0 / own
-    _, inverse, cost = _weighted(design, y, weight)
-    spare = weight.sum() - np.trace(inverse @ (design * weight[:, None] ** 2).T @ design)
-    scatter = max(0.0, (cost - freedom) / float(spare))
-    solution, inverse, cost = _weighted(design, y, 1.0 / (own + scatter))
-    scale = max(cost / freedom, 1e-12)
-    return PowerLaw(reference, float(solution[0]), float(solution[1]), inverse * scale, scatter, scale, freedom)
-
-
 def _relative(amplitude: Floats, error: Floats) -> Floats:
     return np.clip(error / amplitude, LAW_NUMBERS.least_relative_error, LAW_NUMBERS.most_relative_error)
-
-
-def _weighted(design: Floats, y: Floats, weight: Floats) -> tuple[Floats, Floats, float]:
-    """Weighted least squares: solution, inverse of the normal matrix, weighted sum of squares that is left."""
-    inverse: Floats = np.asarray(np.linalg.inv(design.T @ (design * weight[:, None])), dtype=np.float64)
-    solution = inverse @ (design.T @ (weight * y))
-    residual = y - design @ solution
-    return solution, inverse, float(np.sum(weight * residual**2))
 
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "crossings")
@@ -198,7 +129,7 @@ def crossings(
     """Meetings of every order with every natural frequency, that of a whirl where it is at that speed, by speed.
 
     An order is excited where its amplitude stands above the trend beside the crossing: a power law of the speeds
-    outside the neighbourhood, with scatter of its own (DerSimonian and Laird 1986; Knapp and Hartung 2003), so that
+    outside the neighbourhood, with scatter of its own (Paule and Mandel 1982; Knapp and Hartung 2003), so that
     the excess is Student's t; or where the fit of the modes gives it a residue that noise would not (F test), by which
     the order is larger with the mode than without. Both tests of all channels are joined (Simes 1986), and of all
     crossings tested the false discovery rate is held at 5 % (Benjamini and Hochberg 1995). That an order rises is told
@@ -227,9 +158,10 @@ def crossings(
             crossing = _unmeasured(agreed.order, fit.modes[number], whirl, speed_rpm, settings)
             rpm, near = crossing.finding.rpm, width_rpm(crossing.finding.rpm, crossing.mode, settings)
             others = [(60.0 * mode.frequency_hz / agreed.order, mode.damping_ratio) for mode in fit.modes]
-            seen = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
-            seen += [test for of in responses_to(agreed.order, fit) for test in _by_residue(of, number, fit)]
-            met.append((_measured(crossing, agreed, number, seen, fit, tested, near), seen))
+            trends = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
+            crossing = replace(crossing, trends=tuple(trends))
+            seen = trends + [test for of in responses_to(agreed.order, fit) for test in _by_residue(of, number, fit)]
+            met.append((_measured(crossing, agreed, number, fit, tested, near), seen))
     unmeasured = [
         _unmeasured(order, fit.modes[number], whirl, speed_rpm, settings)
         for order in stated
@@ -294,12 +226,12 @@ def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
 
 
 def _measured(
-    crossing: Crossing, agreed: AgreedOrder, number: int, seen: list[Seen], modal: ModalFit, tested: Floats, near: float
+    crossing: Crossing, agreed: AgreedOrder, number: int, modal: ModalFit, tested: Floats, near: float
 ) -> Crossing:
     """``crossing`` as the amplitudes of ``agreed`` show it, with the verdict that it has where it is not excited.
 
-    ``seen`` is what each channel says of the order with and without mode ``number`` of ``modal``; ``tested`` are all
-    speeds in rpm, of which those within ``near`` count as at the crossing.
+    The mode is that of the ``number`` in ``modal``; ``tested`` are all speeds in rpm, of which those within ``near``
+    count as at the crossing.
     """
     mode, whirl, finding = crossing.mode, crossing.whirl, crossing.finding
     of_order, freedom = agreed.order_error / agreed.order, ENDLESS_FREEDOM
@@ -320,7 +252,7 @@ def _measured(
     )
     if not finding.in_range:
         return replace(crossing, finding=finding)
-    trends = [excess for excess in seen if excess.ratio is not None]
+    trends = crossing.trends
     trend = min(trends, key=lambda excess: excess.chance, default=None)
     by_fit = [excess for fit in fitted if (excess := fitted_excess(fit, number, modal)) is not None]
     best = None if trend is None else higher(trend, by_fit)

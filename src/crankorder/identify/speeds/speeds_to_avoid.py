@@ -26,7 +26,7 @@ from crankorder.identify.lines.growth import largest, reported_within
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import EXCLUSION, HeldPeak, peak_of, together, with_and_without
 from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
-from crankorder.identify.speeds.crossings import above_trend, fitted_excess, higher, responses_to, width_rpm
+from crankorder.identify.speeds.crossings import fitted_excess, higher, responses_to, width_rpm
 from crankorder.quantities import Bools
 from crankorder.records import Ends, known
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -180,11 +180,7 @@ def _cost(
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
     peak = peaks.get(channel)
     # how many times what it is without the mode: by the fit, unless the amplitudes stand higher over their trend
-    others = [] if crossing.whirl is None else [(finding.rpm, mode.damping_ratio)]
-    others += [(60.0 * other.frequency_hz / agreed.order, other.damping_ratio) for other in modal.modes]
-    near = width_rpm(finding.rpm, mode, settings)
-    lines = [line for line in agreed.lines if line.channel == channel]
-    trends = [excess for line in lines for excess in above_trend(line, finding.rpm, near, others)]
+    trends = [excess for excess in crossing.trends if excess.channel == channel]
     times = trend = min(trends, key=lambda excess: excess.chance, default=None)
     if peak is not None and peak.response is not None:
         by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
