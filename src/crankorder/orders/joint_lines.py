@@ -12,17 +12,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PPoly
 from scipy.sparse import csr_array
 
 from crankorder.fft.windows import power_of_two
 from crankorder.orders.intervals import LARGEST_DOF
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 NUMBERS = MethodNumbers("3-orders-lines.toml", "joint_lines")
 
@@ -92,8 +94,12 @@ class HeldFrames:
     ) -> HeldFrames:
         """Frames with the middles ``turn`` [rev], rising, at ``speed_rpm``; both (frames,), finite, one frame or more.
 
+        ``spectrum`` (channels, frames, bins), ``revs`` and ``channels`` are those of the class.
+
         A speed is the mean over a frame: that of its middle differs by how it bends (to the fourth order).
         """
+        from scipy.interpolate import CubicSpline, PPoly  # with much that maps alone need not wait for
+
         pace, axis = 60.0 / speed_rpm, np.arange(spectrum.shape[2]) / revs
         if len(turn) < 2:
             clock = PPoly(np.array([[pace[0]], [0.0]]), np.array([turn[0], turn[0] + revs]))
@@ -123,7 +129,7 @@ class HeldFrames:
         return place.turns + place.hertz * 60.0 / self.rpm
 
     def parts(self, order: float, other: float) -> bool:
-        """Whether lines at both orders beat often enough within the recording to be told apart."""
+        """Whether lines at ``order`` and the ``other`` beat often enough within the recording to be told apart."""
         return bool(abs(order - other) * self.span_rev >= NUMBERS.apart_cycles)
 
     def is_half(self, order: float) -> bool:
@@ -354,7 +360,7 @@ class JointLines:
         return np.asarray(np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), score))
 
     def doubt(self, line: int, covariance: Floats) -> tuple[Floats, Floats]:
-        """Variance (channels,) of a phasor along and across itself by ``covariance`` (free, free) of the numbers."""
+        """Variance (channels,) of the phasor of ``line`` along and across itself by ``covariance`` (free, free) of the numbers."""
         unit = (self.phasor[line] / np.maximum(np.abs(self.phasor[line]), 1e-300)).conj()
         turned = self.follows[line] * unit
         along, across = (np.einsum("lc,mc,lm->c", part, part, covariance) for part in (turned.real, turned.imag))
