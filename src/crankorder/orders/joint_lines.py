@@ -360,7 +360,7 @@ class JointLines:
         return np.asarray(np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), score))
 
     def doubt(self, line: int, covariance: Floats) -> tuple[Floats, Floats]:
-        """Variances (channels,) of the phasor of ``line`` along and across it, by ``covariance`` (free, free) of numbers."""
+        """Variances (channels,) of the phasor of ``line`` along and across it, by ``covariance`` of the numbers."""
         unit = (self.phasor[line] / np.maximum(np.abs(self.phasor[line]), 1e-300)).conj()
         turned = self.follows[line] * unit
         along, across = (np.einsum("lc,mc,lm->c", part, part, covariance) for part in (turned.real, turned.imag))
