@@ -13,9 +13,6 @@ from crankorder.orders.joint_lines import Band, HeldFrames, JointLines, Place, h
 from crankorder.orders.true_angle import UNKNOWN_DEG, errors_of_rows
 from crankorder.quantities import Complexes, Floats
 
-PARTED_BEATS = 1.5
-"""Lines that beat less often between the first frame and the last are not parted: each may hold all of it, or none."""
-
 ALIKE_BEATS = 0.25
 """Lines that beat less often in the longest recording are one by two names: nothing could have told them apart."""
 
@@ -38,11 +35,6 @@ class Stretch:
     held: HeldFrames
     beside: Floats
     unit: Floats
-
-    @property
-    def span(self) -> float:
-        """Revolutions from the middle of the first frame to that of the last."""
-        return float(np.ptp(self.held.turn))
 
 
 @dataclass(frozen=True)
@@ -79,7 +71,7 @@ def close_rows(
     fits: list[JointLines | None] = []
     for stretch in stretches:
         band = Band.about(stretch.held, float(orders.min()), float(orders.max()))
-        enough = band is not None and len(stretch.held.turn) > count
+        enough = band is not None and len(band.data) > 2 * len(places)
         fits.append(joint_lines(band, places, free=free, settled=False) if enough and band is not None else None)
     told = [fit.information for fit in fits if fit is not None]
     normal = sum((normal for normal, _ in told), np.zeros((count, count)))
@@ -95,8 +87,8 @@ def _off(normal: Floats, score: Floats) -> tuple[Floats, Floats]:
 
 
 def _row(stretch: Stretch, orders: Floats, fit: JointLines | None, doubt: Floats, wanders: bool) -> CloseRow:
-    held, span = stretch.held, stretch.span
-    parted = fit is not None and float(np.abs(orders[1:] - orders[0]).min()) * span >= PARTED_BEATS
+    held = stretch.held
+    parted = fit is not None and all(held.parts(float(orders[0]), float(other)) for other in orders[1:])
     at = min(round(float(orders[0]) * held.revs), held.spectrum.shape[2] - 1)
     share = float(hann_lobe(np.array(float(orders[0]) * held.revs - at)))
     if fit is None:
@@ -117,8 +109,7 @@ def _row(stretch: Stretch, orders: Floats, fit: JointLines | None, doubt: Floats
         beyond = np.sqrt(unexplained) / share
         off, known = _off(*fit.information)
         doubt = np.maximum(doubt, np.abs(off) - (1.0 + DOUBT) * known)
-        if span > 0.0:
-            doubt = np.minimum(doubt, 0.5 / span)
+        doubt = np.minimum(doubt, 0.5 / held.span_rev)
         along, across = (np.sqrt(part) * unit for part in fit.doubt(0, np.diag(np.square(doubt))))
         power = fit.own[0] * fit.noise(0)[0] * np.square(unit)
         error = np.sqrt(0.5 * power + np.square(along / DOUBT))
