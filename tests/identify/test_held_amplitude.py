@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.modes.order_blocks import swept_rows
 from crankorder.identify.modes.sweep_modes import fits_of_sweeps, with_rows_of_fits
@@ -16,40 +14,40 @@ SHARES = np.array([[1.0], [0.7], [-0.5]])
 
 
 def _machine(
-    orders: tuple[float, float],
-    size: tuple[float, float],
-    mode: tuple[float, float],
-    rpm: tuple[float, float],
-    rate: float,
-) -> SweptMachine:
+    orders,
+    size,
+    mode,
+    rpm,
+    rate,
+):
     """Two ``orders`` of forces ``size`` that pass one ``mode`` (Hz, damping ratio) at a ``rate`` (rpm/s)."""
     seconds = abs(rpm[1] - rpm[0]) / rate
     natural, damping = np.array(mode[:1]), np.array(mode[1:])
     return SweptMachine(np.array(orders), np.array(size), np.zeros(2), natural, damping, SHARES, rpm, seconds, 0.001)
 
 
-def _phases_and_direct(seed: int) -> tuple[NDArray, NDArray]:
+def _phases_and_direct(seed):
     """Phases of both orders and the direct part (3,) of the responses, as :func:`recorded` draws them."""
     rng = np.random.default_rng(seed)
     phases = np.array([rng.uniform(0, 2 * np.pi) for _ in range(2)])
     return phases, 0.3 * rng.normal(size=(3, 1))[:, 0]
 
 
-def _told(machine: SweptMachine, seed: int) -> tuple[xr.Dataset, xr.Dataset]:
+def _told(machine, seed):
     """Tracks of ``machine`` as the filter tells them, and with the rows of the windows' fit."""
     filtered = swept_tracks(*recorded(machine, np.random.default_rng(seed)), machine.orders.tolist())
     (told,) = with_rows_of_fits([filtered], fits_of_sweeps([filtered], settings=SETTINGS))
     return filtered, told
 
 
-def _growth(machine: SweptMachine, place: int, speed: NDArray) -> NDArray:
+def _growth(machine, place, speed):
     return np.asarray(machine.size[place] * ((speed / max(machine.rpm)) ** 2 if machine.orders[place] < 4 else 1.0))
 
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("rate", [30.0, 150.0, 600.0])
 @pytest.mark.parametrize("falls", [False, True])
-def test_an_order_has_the_steady_answer_of_the_mode_that_it_swept_through(rate: float, falls: bool) -> None:
+def test_an_order_has_the_steady_answer_of_the_mode_that_it_swept_through(rate, falls):
     rpm, (natural, zeta) = (900.0, 3000.0), (81.3, 0.008)
     machine = _machine((2.0, 3.5), (1.0, 0.6), (natural, zeta), rpm[::-1] if falls else rpm, rate)
     _, told = _told(machine, 3)
@@ -70,7 +68,7 @@ def test_an_order_has_the_steady_answer_of_the_mode_that_it_swept_through(rate: 
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_lower_order_is_what_it_is_while_a_mode_rings_from_a_higher_one(seed: int) -> None:
+def test_a_lower_order_is_what_it_is_while_a_mode_rings_from_a_higher_one(seed):
     rng = np.random.default_rng([seed, 5])
     natural, zeta = float(rng.uniform(180.0, 260.0)), float(rng.uniform(0.002, 0.005))
     machine = _machine((8.0, 8.5), (0.03, 1.0), (natural, zeta), (900.0, 3300.0), 600.0)
@@ -82,7 +80,7 @@ def test_a_lower_order_is_what_it_is_while_a_mode_rings_from_a_higher_one(seed: 
     rung = acceleration(force.real, natural, zeta) + 1j * acceleration(force.imag, natural, zeta)
     own = (direct[:, None] * force + SHARES * rung) * np.exp(-2j * np.pi * 8.0 * turn)
 
-    def off(tracks: xr.Dataset) -> float:
+    def off(tracks):
         at = tracks["time"].values
         true = np.array([np.interp(at, time, row.real) + 1j * np.interp(at, time, row.imag) for row in own])
         near = np.abs(8.0 * tracks["speed"].values / 60.0 / natural - 1.0) < 0.03

@@ -4,7 +4,6 @@ import warnings
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import crankorder as co
 from crankorder import front_door
@@ -19,7 +18,7 @@ CLOSE_HZ = 2.5
 """Distance of an order from a line within which one shows in the other."""
 
 
-def recordings(rng: np.random.Generator) -> list[xr.Dataset]:
+def recordings(rng):
     """Recordings of 12 s from 1100 to 1300 rpm of ORDERS and of MAINS by multiple, each with its amplitude."""
     time, phases, made = np.arange(round(12.0 * RATE_HZ)) / RATE_HZ, rng.uniform(0.0, 6.0, len(ORDERS)), []
     for rpm in range(1100, 1301, 20):
@@ -66,7 +65,7 @@ TIME = np.arange(round(SWEEP_HZ * SECONDS)) / SWEEP_HZ
 ORDER = np.array([2.0])
 
 
-def _sweep(rng: np.random.Generator) -> tuple[xr.Dataset, np.ndarray]:
+def _sweep(rng):
     """Shaft of a run-up from 1000 rpm or so to twice that, and order 2 of amplitude 1 with noise (2, samples)."""
     first_hz = rng.uniform(15.0, 18.0)
     rate = first_hz * rng.uniform(0.9, 1.1) / SECONDS
@@ -77,13 +76,13 @@ def _sweep(rng: np.random.Generator) -> tuple[xr.Dataset, np.ndarray]:
     return turned, order + NOISE * rng.standard_normal((2, len(TIME)))
 
 
-def _band(signals: np.ndarray) -> xr.Dataset:
+def _band(signals):
     return sampled(signals, rate_hz=SWEEP_HZ, band_hz=800.0)
 
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
-def test_mains_that_an_order_passes_are_taken_out_as_they_are(seed: int) -> None:
+def test_mains_that_an_order_passes_are_taken_out_as_they_are(seed):
     rng = np.random.default_rng(seed)
     turned, signals = _sweep(rng)
     hertz = float(rng.choice([50.0, 60.0])) + rng.uniform(-0.1, 0.1)
@@ -97,7 +96,7 @@ def test_mains_that_an_order_passes_are_taken_out_as_they_are(seed: int) -> None
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
-def test_an_order_and_what_rings_after_it_are_left(seed: int) -> None:
+def test_an_order_and_what_rings_after_it_are_left(seed):
     rng = np.random.default_rng(100 + seed)
     turned, signals = _sweep(rng)
     since = np.maximum(TIME - rng.uniform(5.0, 12.0), 0.0)

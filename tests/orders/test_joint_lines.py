@@ -13,7 +13,7 @@ from made.line_frames import LineScene, frames_of, held_at
 KINDS = ("pair", "triple", "meets mains", "flank")
 
 
-def misses(kind: str, draws: int) -> tuple[np.ndarray, np.ndarray]:
+def misses(kind, draws):
     """Errors of amplitudes (and orders) over their bounds, and whether each interval holds the truth."""
     over, inside = [], []
     for seed in range(draws):
@@ -34,19 +34,19 @@ def misses(kind: str, draws: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(("kind", "draws"), [(kind, 60) for kind in KINDS])
-def test_errors_are_those_of_the_bound_and_intervals_hold_the_truth(kind: str, draws: int) -> None:
+def test_errors_are_those_of_the_bound_and_intervals_hold_the_truth(kind, draws):
     """Aim 1.05 of the bound (must 1.1); 2,000 draws stand in `reports/speed-error/joint-lines.md`."""
     over, inside = misses(kind, draws)
     assert np.square(over).sum() < 1.1**2 * chi2.ppf(0.999, len(over))
     assert np.sum(inside) >= binom.ppf(1e-3, len(inside), 0.95)
 
 
-def test_lines_beyond_what_was_recorded_are_none() -> None:
+def test_lines_beyond_what_was_recorded_are_none():
     held = held_at(np.random.default_rng(1), 1500.0, [(50.0, 1.0)])[0]
     assert Band.about(held, 25.0, 25.0) is None
 
 
-def test_without_noise_a_line_is_exact_and_one_that_is_not_there_is_nothing() -> None:
+def test_without_noise_a_line_is_exact_and_one_that_is_not_there_is_nothing():
     angle = np.arange(48 * 160) / 48 + 3.25
     frames = frames_of([np.cos(2.0 * np.pi * 5.5 * angle + 0.4)])
     (held,) = held_recordings(recordings_of([frames]), ["A"])

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy.signal import fftconvolve, lfilter
 
 from crankorder.errors import InputError
@@ -34,10 +33,10 @@ class Course:
     rounding_s: float = 0.1
 
     @property
-    def duration_s(self) -> float:
+    def duration_s(self):
         return self.time_s[-1]
 
-    def known(self, rate_hz: float = RATE_HZ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def known(self, rate_hz=RATE_HZ):
         """Time [s], crank angle [rev] and speed [rpm] at each sample."""
         at = np.arange(round(self.duration_s * rate_hz)) / rate_hz
         speed = np.interp(at, self.time_s, self.speed_rpm)
@@ -53,16 +52,16 @@ class Course:
 
 
 def recording_of(
-    course: Course,
-    laws: dict[float, Law],
+    course,
+    laws,
     *,
-    encoder: str,
-    seed: int,
-    noise: float = 0.01,
-    rate_hz: float = RATE_HZ,
-    decimate: int = 5,
-    name: str = "sweep",
-) -> tuple[xr.Dataset, xr.Dataset]:
+    encoder,
+    seed,
+    noise=0.01,
+    rate_hz=RATE_HZ,
+    decimate=5,
+    name="sweep",
+):
     """BandRecording (one channel) and ShaftAngle; ``laws`` are the complex amplitudes of orders over speed [rpm]."""
     at, angle, speed = course.known(rate_hz)
     signal = np.zeros(len(at))
@@ -77,7 +76,7 @@ def recording_of(
     return band, shaft
 
 
-def _encoder(kind: str, at: np.ndarray, angle: np.ndarray, speed: np.ndarray, rate_hz: float) -> tuple[dict, dict]:
+def _encoder(kind, at, angle, speed, rate_hz):
     if kind == "speed signal":
         words = {"units": "min-1"}
         return {"speed_signal": ("time", speed, words)}, {"encoder_kind": "speed"}

@@ -23,7 +23,7 @@ def tracks_of(given, *, revs, colour, draws):
     return {name: np.concatenate([part[name].values for part in tracks]) for name in NAMES}
 
 
-def share_allowed(hits: int) -> float:
+def share_allowed(hits):
     """Four standard deviations of a share of 95 % among so many."""
     return 4.0 * float(np.sqrt(0.95 * 0.05 / hits))
 
