@@ -24,7 +24,7 @@ from published import publish, table
 
 from crankorder.campbell.map import campbell_map
 from crankorder.engine.definition import load_engine
-from crankorder.identify.findings import find
+from crankorder.identify.findings import Measured, find
 from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -57,7 +57,7 @@ def one_scene(job: tuple[int, float, bool, str]) -> tuple[Found, dict[str, int],
     )
     start = time.thread_time()
     sources = MachineModel(revs_per_cycle=2, engine=ENGINE, bearings=ENGINE.bearings)
-    findings = find(*maps, made.by_order, None, test="made", sources=sources, settings=SETTINGS).as_dict()
+    findings = find(Measured(*maps, made.by_order), test="made", sources=sources, settings=SETTINGS).as_dict()
     spent = time.thread_time() - start
     if keep:
         with (Path(keep) / f"{'noise' if noise_only else 'scene'}_{seed}.pickle").open("wb") as file:

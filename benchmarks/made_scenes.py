@@ -8,7 +8,7 @@ import xarray as xr
 from crankorder.campbell.frames import frequency_frames
 from crankorder.orders.frames import order_frames
 from crankorder.settings import Settings
-from crankorder.synth.crank import start_angle_rev
+from crankorder.synth.lines import start_angle_rev
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
 from crankorder.synth.parts import Speeds, TimeSampling

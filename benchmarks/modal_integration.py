@@ -18,7 +18,6 @@ from published import publish, table
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter, lsim
 
-from crankorder.synth.analogue import low_pass
 from crankorder.synth.driven import (
     STENCILS,
     Integration,
@@ -30,7 +29,7 @@ from crankorder.synth.driven import (
 )
 from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines, force_at
-from crankorder.synth.poles import Poles, Structure, poles_of
+from crankorder.synth.poles import Poles, Structure, low_pass, poles_of
 
 SUBSTEPS = (1, 2, 4, 8)
 RATES_HZ = (51_200.0, 5_120.0)

@@ -16,13 +16,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from published import publish, table
 
-from crankorder.orders.map import order_map
-from crankorder.settings import load_settings
-
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from made.order_spectra import HIGHEST, REVS, SAMPLES_PER_REV, angle_frames, coloured, filtered
+from made.order_spectra import HIGHEST, REVS, SAMPLES_PER_REV, coloured, tracked
 
-SETTINGS = load_settings().orders
 BATCH = 250
 Line = tuple[float, float, float]
 SNR_DB = (-35.0, -25.0, -20.0, -10.0, 10.0, 40.0)
@@ -32,8 +28,6 @@ OFF_BIN = 0.31
 """Records and frames by time hold no whole number of revolutions: the order lies this far off a bin of such frames."""
 RATE_HZ = 640.0
 ROTA_DRAWS = 100
-BANDWIDTH = 0.05
-"""Of the Vold–Kalman filter, in orders; half the distance of orders that are closer."""
 
 CASES: dict[str, tuple[str, int, tuple[float, ...]]] = {
     "white noise": ("white", 36, ORDERS),
@@ -61,48 +55,18 @@ def batches(colour: str, frames: int, draws: int, scale: float = 1.0) -> Iterato
         yield scale * coloured(np.random.default_rng([frames, number]), BATCH, revs=8 * (frames + 1), colour=colour)
 
 
-def by_map(signals: np.ndarray, order: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Complex amplitude, ends of its interval, half width [degree] of the phase's."""
-    line = order_map([angle_frames(signals)], settings=SETTINGS).sel(order=order).isel(speed=0)
-    value = line["coherent_amplitude"].values * np.exp(1j * np.radians(line["phase"].values))
-    return (
-        value,
-        line["coherent_amplitude_low"].values,
-        line["coherent_amplitude_high"].values,
-        line["phase_ci95"].values,
-    )
-
-
-def by_filter(
-    signals: np.ndarray, orders: tuple[float, ...], wanted: int = 0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The same by Vold–Kalman of order number ``wanted`` of ``orders``, which are followed jointly."""
-    bandwidth = min(BANDWIDTH, 0.5 * float(np.abs(np.diff(orders)).min()))
-    line = filtered(signals, orders, bandwidth=bandwidth).isel(order=wanted)
-    value = line["amplitude"].values * np.exp(1j * np.radians(line["phase"].values))
-    return value, line["amplitude_low"].values, line["amplitude_high"].values, line["phase_ci95"].values
-
-
 def coverage(case: str, draws: int) -> dict[str, float]:
-    """Share [%] of intervals that hold the truth, and width of the mean one over that of a known noise."""
+    """Share [%] of intervals that hold the truth; NaN for the phase of orders between bins, which have none."""
     colour, frames, orders = CASES[case]
     given = [(order, size, phase) for order, size, phase in zip(orders, (3.0, 1.5, 2.0), PHASES, strict=False)]
-    true = 3.0 * np.exp(1j * PHASES[0])
-    hits: dict[str, list[np.ndarray]] = {}
+    hits = []
     for noise in batches(colour, frames, draws, NOISE_OF[colour]):
-        signals = noise + made_lines(noise.shape[1], given)
-        ways = {"Vold–Kalman": by_filter(signals, orders)}
-        if abs(orders[1] - orders[0]) > 0.1:
-            ways["map"] = by_map(signals, orders[0])
-        for way, (value, low, high, half) in ways.items():
-            inside = (low <= 3.0) & (high >= 3.0)
-            near = np.abs(np.degrees(np.angle(value / true))) <= half
-            hits.setdefault(way, []).append(np.stack([inside, near]))
-    found = {}
-    for way in ("map", "Vold–Kalman"):
-        share = 100.0 * np.concatenate(hits[way], axis=1).mean(axis=1) if way in hits else (np.nan, np.nan)
-        found |= {f"{way}, amplitude": float(share[0]), f"{way}, phase": float(share[1])}
-    return found
+        line = tracked(noise + made_lines(noise.shape[1], given), orders).isel(order=0)
+        inside = (line["amplitude_low"] <= 3.0) & (line["amplitude_high"] >= 3.0)
+        off = (line["phase"] - np.degrees(PHASES[0]) + 180.0) % 360.0 - 180.0
+        hits.append([inside, np.where(np.isfinite(off), np.abs(off) <= line["phase_ci95"], np.nan)])
+    share = 100.0 * np.concatenate(hits, axis=1).mean(axis=1)
+    return {"amplitude": float(share[0]), "phase": float(share[1])}
 
 
 def by_short_time(signals: np.ndarray, n_frame: int) -> np.ndarray:
@@ -134,8 +98,7 @@ def errors(snr_db: float, frames: int, draws: int) -> dict[str, float]:
         n_frame = 16 * SAMPLES_PER_REV
         short = np.abs(by_short_time(drifting, n_frame)[..., round(order * 16)])
         for way, value in (
-            ("crankorder: map", np.abs(by_map(signals, order)[0])),
-            ("crankorder: Vold–Kalman", np.abs(by_filter(signals, (5.0, order, 6.0), 1)[0])),
+            ("crankorder", tracked(signals, (5.0, order, 6.0))["amplitude"].values[:, 1]),
             ("plain FFT of the thesis, nearest bin", plain),
             ("scipy ShortTimeFFT, mean magnitude", short.mean(axis=1)),
         ):
@@ -165,8 +128,7 @@ def measured(draws: int) -> dict[str, object]:
     by_snr = {f"{snr:g}": errors(snr, 36, draws) for snr in SNR_DB}
     by_length = {str(frames): errors(0.0, frames, draws) for frames in (1, 2, 3, 5, 8, 16, 36)}
     return {
-        "what": f"{draws} draws each; orders 5, 5.5 and 6 together; frames of 16 revolutions, half overlapping; "
-        f"Vold–Kalman with a bandwidth of {BANDWIDTH:g} orders (close orders: half their distance)",
+        "what": f"{draws} draws each; orders 5, 5.5 and 6 together; frames of 16 revolutions, half overlapping",
         "draws": draws,
         "rms_over_bound_by_snr_db": by_snr,
         "rms_over_bound_by_frames": by_length,
@@ -208,14 +170,10 @@ def drawn(found: dict) -> Figure:
 
 
 def _draw_coverage(axes, cases: dict) -> None:
-    marks = (("map, amplitude", "o", "C0"), ("map, phase", "^", "C0"))
-    marks += (("Vold–Kalman, amplitude", "o", "C2"), ("Vold–Kalman, phase", "^", "C2"))
     axes.axvspan(94.0, 96.0, color="0.9", label="95 ± 1 %")
-    for number, (kind, mark, colour) in enumerate(marks):
+    for kind, mark, face, off in (("amplitude", "o", "C0", -0.08), ("phase", "^", "none", 0.08)):
         rows = [row[kind] for row in cases.values()]
-        face = colour if mark == "o" else "none"
-        at = np.arange(len(rows)) + 0.16 * (number - 1.5)
-        axes.plot(rows, at, mark, color=colour, mfc=face, label=kind)
+        axes.plot(rows, np.arange(len(rows)) + off, mark, color="C0", mfc=face, label=kind)
     axes.set_yticks(range(len(cases)), list(cases))
     axes.invert_yaxis()
     axes.set(xlabel="95 % intervals that hold the truth [%]", title="Coverage")
@@ -250,8 +208,8 @@ def page(found: dict) -> str:
         table(["frames", *ways], numbers["rms_over_bound_by_frames"]),
         "## Intervals that hold the truth [%]",
         f"A share of {found['draws']} draws is known to {sampling:.1f} (one standard deviation). With one or two "
-        "frames the map can only ask the bins beside, and a resonance narrower than a bin deceives it; from three on "
-        "the frames' own scatter at the line tells.",
+        "frames only the bins beside can be asked, and a resonance narrower than a bin deceives; from three on the "
+        "frames' own scatter at the line tells. An order between bins has no phase.",
         table(["case", *next(iter(cells.values()))], cells),
     ]
     return "\n\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""README pages of ``pipeline/`` and ``data_schema/`` and schemas of what is written, made from what they describe.
+"""README pages, the picture of the stages and schemas of what is written, made from what they describe.
 
 Run ``python reports/make_readmes.py`` after a change there; a house test compares the pages with a fresh rendering.
 """
@@ -12,16 +12,18 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from model_keys import Row, default_of, kind_of, tables_of, toml_of
 from pydantic.fields import FieldInfo
 
+from crankorder.checks.doubts import Doubts
 from crankorder.comparison import Comparison
 from crankorder.engine.balance_data import BalanceData
 from crankorder.engine.definition import Engine
 from crankorder.findings import Findings
 from crankorder.ingest.manifest import Manifest
+from crankorder.stages import FRAMES_OF, STAGES
 from crankorder.synth.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -246,6 +248,30 @@ def render_balance_keys() -> str:
     return "\n\n".join(part for part in parts if part).join(("\n", "\n"))
 
 
+STAGE_NOTES = (
+    "Each row is a stage of `stages.py`; `●` is the noun that it makes, and each `○` below that a later stage that "
+    "takes it. Settings and what the manifest states are not shown. Stages of a test take the nouns of all recordings, "
+    "those below `doubts` without what that leaves out."
+)
+
+
+def render_stages() -> str:
+    """Page with the picture of the stages: what each takes and makes, by its signature."""
+    hints = [get_type_hints(stage) for stage in STAGES]
+    makes = [types.pop("return") for types in hints]
+    takes = [{FRAMES_OF.get(kind, kind) for kind in types.values()} for types in hints]
+    first_of_test = makes.index(Doubts)
+    for types, kinds in zip(hints[first_of_test + 1 :], takes[first_of_test + 1 :], strict=True):
+        kinds |= {Doubts} if FRAMES_OF.keys() & set(types.values()) else set()
+    rows = []
+    for row, (stage, noun) in enumerate(zip(STAGES, makes, strict=True)):
+        later = set().union(*takes[row:])
+        cells = ["○" if above in takes[row] else "│" if above in later else " " for above in makes[:row]]
+        rows.append(f"  {stage.__name__:26}{' '.join([*cells, '●'])}  {noun.__name__}")
+    rows = ["of a recording", *rows[:first_of_test], "of a test", *rows[first_of_test:]]
+    return "\n".join([MARKER, "", "# Stages", "", STAGE_NOTES, "", "```text", *rows, "```", ""])
+
+
 SCENE_NOTES = (
     "A scene is a TOML file: `crankorder synth my-scene.toml --out FOLDER`. What it does not name is not there and "
     "costs nothing. Short lists can be written in one line: `by_order = [{ order = 2.0, percent = 1.0 }]`. `engine` is "
@@ -457,6 +483,7 @@ def pages(root: Path = ROOT) -> dict[Path, str]:
         **{root / "data_schema" / f"{name}.json": record_schema(name) for name in WRITTEN},
         root / "data_schema" / "manifest.json": manifest_schema(),
         root / "docs" / "reference" / "manifest.md": render_manifest_keys(),
+        root / "docs" / "method" / "stages.md": render_stages(),
         root / "pipeline" / "README.md": render_pipeline_readme(root),
         root / "data_schema" / "README.md": render_schema_readme(root),
         root / "pipeline" / "scenes" / "README.md": render_keys(

@@ -25,7 +25,7 @@ CASES = 3
 
 
 @pytest.hookimpl(tryfirst=True)  # before the marks of the command line choose
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Mark as slow the cases of a test beyond the number that runs by default, which are spread over all of them."""
     cases: dict[str, list[pytest.Item]] = {}
     for item in items:
@@ -41,12 +41,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def project_root() -> Path:
+def project_root():
     """The folder of the project."""
     return _ROOT
 
 
-def _shared(name: str) -> Path:
+def _shared(name):
     path = _ROOT.parent / "shared" / name
     if not path.exists():
         pytest.skip(f"../shared/{name} is absent: it lies beside the project, never inside")
@@ -54,13 +54,13 @@ def _shared(name: str) -> Path:
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Path:
+def shared_data():
     """Folder of the measured recordings, read in place; the test is skipped where it is absent."""
     return _shared("data")
 
 
 @pytest.fixture(scope="session")
-def shared_truth() -> dict[str, Any]:
+def shared_truth():
     """The truth sheet (``truth.json``), derived apart from this program; the test is skipped where it is absent."""
     truth: dict[str, Any] = json.loads((_shared("truth") / "truth.json").read_text(encoding="utf-8"))
     return truth

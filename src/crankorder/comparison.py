@@ -120,30 +120,6 @@ class UnbalanceRecord(Record):
     n_speeds: int = said("speeds with phases in both tests")
 
 
-class MassResponse(Record):
-    """What one unit of mass does at a speed."""
-
-    speed_rpm: float | None = said("the speed")
-    response: float | None = said("amplitude per unit of mass")
-    response_ci95: Interval = said()
-
-
-class MassRecord(Record):
-    """Unbalance before and after a stated change of mass, as order 1 of a channel tells it."""
-
-    channel: str = said("name of the channel")
-    unit: str = said("g at the radius of the stated masses, or g·mm")
-    response_unit: str = said("unit of the channel")
-    added: float = said("mass that was put on")
-    before: float = said("unbalance before")
-    before_ci95: Interval = said()
-    before_angle_deg: float | None = said("its angle; null where that is not known")
-    after: float = said("unbalance after")
-    after_ci95: Interval = said()
-    after_angle_deg: float | None = said("its angle; null where that is not known")
-    response_per_unit: tuple[MassResponse, ...] = said("influence of one unit of mass by speed")
-
-
 class BalanceChange(Record):
     """Change of a mass of the closed balance."""
 
@@ -211,7 +187,6 @@ class Comparison(Record):
     orders: tuple[OrderChangeRecord, ...] = said("change of every order that either test shows, and of orders 1 and 2")
     modes: tuple[ModeShift, ...] = said("natural frequencies of both tests")
     unbalance: tuple[UnbalanceRecord, ...] = said("what became of the unbalance that orders 1 and 2 show")
-    masses: tuple[MassRecord, ...] = said("unbalance in grams, where the manifests differ by stated masses")
     trial_mass: TrialBalance | None = said(
         "residual unbalance before and after the change of mass that the manifests state, of all channels and speeds "
         "together: the record balance of findings.json with residual_after_*; null where none is stated or it cannot "

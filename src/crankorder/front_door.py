@@ -251,7 +251,7 @@ def order_tracks(
     """Amplitude and phase of ``orders`` of ``recordings`` against speed (OrderTracks), (channel, order, speed).
 
     ``orders``: those to follow; without them, those that are found. ``method``: "auto" (sweeps jointly by Vold–Kalman,
-    steady speeds off the map), "frames" or "vold_kalman". ``recipe`` is that of :func:`order_map`. Raises InputError
+    steady speeds off the map) or "frames" (all off the map). ``recipe`` is that of :func:`order_map`. Raises InputError
     where no recording can be used.
 
     >>> import numpy as np, crankorder as co

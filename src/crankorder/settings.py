@@ -109,9 +109,12 @@ class ShaftSettings(StageSettings):
     largest_swing_percent: Positive
 
 
-def _not_least_squares(method: object) -> object:
-    if method == "least_squares":
-        raise ValueError('there are no tracks by least squares: set "vold_kalman", which also follows orders jointly')
+def _one_estimate(method: object) -> object:
+    if method in ("least_squares", "vold_kalman"):
+        raise ValueError(
+            'no such method any more: set "auto", which reads held speeds in frames, close orders solved together, and '
+            'follows orders through sweeps together, or "frames", which follows none'
+        )
     return method
 
 
@@ -126,9 +129,7 @@ class OrderSettings(StageSettings):
     band_width_orders: Positive
     tolerance: Annotated[float, Field(ge=LEAST_TOLERANCE, le=LARGEST_TOLERANCE)]
     method: Literal["auto", "resample", "nufft"]
-    track_method: Annotated[Literal["auto", "frames", "vold_kalman"], BeforeValidator(_not_least_squares)]
-    track_bandwidth: Positive
-    track_bandwidth_unit: Literal["order", "Hz"]
+    track_method: Annotated[Literal["auto", "frames"], BeforeValidator(_one_estimate)]
     floor_bins: Count
     guard_bins: Annotated[int, Field(ge=0)]
     envelope_max_order: Positive
@@ -323,7 +324,13 @@ def load_settings(
 
 
 _ENCODER = "Remove it: an encoder is put right unasked, in teeth that err little too with --recipe calibrated-encoder"
-_GONE = {"shaft.calibrate_encoder": _ENCODER, "shaft.calibration_speed_ratio": _ENCODER}
+_WIDTH = "Remove it: the bandwidth of an order that is followed through a sweep comes from the rate of the sweep"
+_GONE = {
+    "shaft.calibrate_encoder": _ENCODER,
+    "shaft.calibration_speed_ratio": _ENCODER,
+    "orders.track_bandwidth": _WIDTH,
+    "orders.track_bandwidth_unit": _WIDTH,
+}
 """Settings of earlier versions, and what to do instead."""
 
 

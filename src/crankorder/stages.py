@@ -1,8 +1,9 @@
-"""The stages in flow order: the whole program on one screen. What a stage takes and gives is its signature.
+"""The stages in flow order, which `docs/method/stages.md` draws. What a stage takes and gives is its signature.
 
-``analyse_recording`` runs the stages of one file, ``analyse_test`` those that join a test's files; the plan of each is
-worked out from the signatures (``StagePlan``): only what the wanted results need is run. Every stage checks its inputs
-at the door (schema, metadata only) and signs what it gives with a line of history.
+``analyse_recording`` runs the stages of one file, ``compare_recordings`` doubts what beside the others is odd, and
+``analyse_test`` runs those that join a test's files, without what is left out; the plan of each is worked out from the
+signatures (``StagePlan``): only what the wanted results need is run. Every stage checks its inputs at the door (schema,
+metadata only) and signs what it gives with a line of history.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import functools
 import inspect
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NewType, TypeVar, get_type_hints
 
@@ -23,27 +24,29 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
 from crankorder.campbell.vibration_levels import vibration_levels
+from crankorder.checks.doubts import Doubts, doubts_of
+from crankorder.checks.gathered import Gathered, RecordingResult, flags_of_all
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import Bearing
 from crankorder.fft.decimation import band_limited
-from crankorder.findings import Findings, nothing_sought
+from crankorder.findings import Channel, Findings, nothing_sought, quality_of
 from crankorder.flow import StagePlan
 from crankorder.identify.bearings.envelope_lines import bearing_combs
 from crankorder.identify.found import SweepFits
 from crankorder.identify.machine_model import MachineModel
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
-from crankorder.orders.clock_drift import with_clock_drift
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.orders.fixed_lines import lines_of_findings
-from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import band_of_orders, order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.method import METHOD_SHARE
 from crankorder.orders.shapes import operating_shapes
+from crankorder.orders.swept_tracks import followed_tracks
 from crankorder.orders.track_rows import followed_orders, order_tracks
 from crankorder.orders.true_angle import (
+    NAMES,
     TAKEN,
     Swings,
     angle_in_truth,
@@ -83,6 +86,7 @@ from crankorder.shaft.audit import reference_audit
 from crankorder.shaft.decode import PULSE_KINDS, flags_named, shaft_angle
 from crankorder.shaft.standstill import NO_PULSES, silent_ends
 from crankorder.shaft.summary import named_speed_remarks, shaft_summary
+from crankorder.shaft.tooth_errors import speed_swings
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
@@ -99,6 +103,8 @@ AllRecordingEnvelopes = NewType("AllRecordingEnvelopes", Sequence[xr.Dataset])
 AllRecordingLevels = NewType("AllRecordingLevels", Sequence[xr.Dataset])
 AllLevelFrames = NewType("AllLevelFrames", Sequence[xr.Dataset])
 AllShaftAngles = NewType("AllShaftAngles", Sequence[xr.Dataset])
+RecordingFlags = NewType("RecordingFlags", Mapping[str, Sequence[QualityFlag]])
+Strict = NewType("Strict", bool)
 
 Stage = TypeVar("Stage", bound=Callable[..., Any])
 STAGES: list[Callable[..., Any]] = []
@@ -179,7 +185,7 @@ def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRec
 def frames_as_shown(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> FramesAsShown:
     """Spectra of whole cycles of ``band``, resampled by the crank angle of ``shaft`` (``settings`` of orders)."""
     limited = band_of_orders(band, shaft, settings=settings.orders)
-    return FramesAsShown(with_clock_drift(order_frames(limited, shaft, settings=settings.orders), recorded=band))
+    return FramesAsShown(order_frames(limited, shaft, settings=settings.orders))
 
 
 @stage
@@ -268,6 +274,23 @@ def band_levels_of_recording(
 
 
 @stage
+def doubts(
+    shafts: AllShaftAngles,
+    levels: AllRecordingLevels,
+    shown: ShownOrderFrames,
+    told: RecordingFlags,
+    strict: Strict,
+    settings: Settings,
+) -> Doubts:
+    """What recordings beside each other tell to doubt and leave out, by ``shafts``, ``levels`` and frames as ``shown``.
+
+    ``told``: the flags of each recording by name; ``strict`` leaves out "suspect" ones too. ``settings`` of ingest.
+    What the stages below gather of the recordings is without what is left out.
+    """
+    return doubts_of(shafts, levels, shown, told, strict=strict, settings=settings.ingest)
+
+
+@stage
 def levels_of_test(items: AllLevelFrames, settings: Settings) -> VibrationLevels:
     """Overall levels of the ``items`` of all recordings, by speed (``settings`` of orders: the width of a group)."""
     return VibrationLevels(vibration_levels(items, speed_bin_rpm=settings.orders.speed_bin_rpm))
@@ -310,7 +333,7 @@ def modes_of_sweeps(filtered: FilteredTracks, settings: Settings) -> SweepModes:
 @stage
 def tracks_of_test(filtered: FilteredTracks, modes: SweepModes) -> AllRecordingTracks:
     """Tracks of all recordings: ``filtered``, and beside the ``modes`` of sweeps as their signals tell them."""
-    if not modes.groups:
+    if not any("waveform" in item for item in filtered):
         return AllRecordingTracks(filtered)
     from crankorder.identify.modes.sweep_modes import with_rows_of_fits
 
@@ -335,7 +358,7 @@ def findings(
     campbell: CampbellMap,
     frames: AllOrderFrames,
     envelope: EnvelopeMap,
-    filtered: FilteredTracks,
+    followed: AllRecordingTracks,
     levels: AllRecordingLevels,
     vibration: VibrationLevels,
     modes: SweepModes,
@@ -345,15 +368,17 @@ def findings(
 ) -> Findings:
     """What ``order_map``, ``campbell``, ``frames``, ``envelope`` show of ``test``, explained by ``sources``.
 
-    ``filtered``: orders through each sweep; ``modes``: what the signals of sweeps tell; ``levels``: of each recording,
+    ``followed``: orders through each sweep; ``modes``: what the signals of sweeps tell; ``levels``: of each recording,
     with what lies above the band; ``vibration``: levels in bands.
     ``settings``: of identify, and of orders for the floor.
     """
-    from crankorder.identify.findings import find  # half of the program: where no findings are wanted it is not loaded
+    from crankorder.identify.findings import (  # half of the program: where no findings are wanted it is not loaded
+        Measured,
+        find,
+    )
 
-    maps = (order_map, campbell, frames, envelope)
-    of_recordings = functools.partial(find, followed=filtered, levels=levels, vibration=vibration, swept=modes)
-    return of_recordings(*maps, test=test, sources=sources, settings=settings)
+    measured = Measured(order_map, campbell, frames, envelope, followed, modes, levels, vibration)
+    return find(measured, test=test, sources=sources, settings=settings)
 
 
 @stage
@@ -363,8 +388,9 @@ def tracks(
     """Orders of ``findings`` and ``settings`` over speed, read in ``order_map`` and ``frames`` or as ``followed``."""
     orders = followed_orders(findings, settings.orders)
     fixed = lines_of_findings(findings)
-    made = order_tracks(order_map, orders, settings=settings.orders, frames=frames, followed=followed, fixed=fixed)
-    return OrderTracks(with_followed(made, list(followed)))
+    return OrderTracks(
+        order_tracks(order_map, orders, settings=settings.orders, frames=frames, followed=followed, fixed=fixed)
+    )
 
 
 @stage
@@ -406,78 +432,29 @@ FRAMES_OF: dict[Any, Any] = {
     AllRecordingEnvelopes: RecordingEnvelope,
     AllRecordingLevels: RecordingLevels,
     AllLevelFrames: LevelFrames,
+    AllShaftAngles: ShaftAngle,
 }
 """Noun of one recording that each gathered noun of a test is made of."""
 
 
 @dataclass(frozen=True)
-class RecordingResult:
-    """What one recording gives to its test: its shaft, and the frames by noun that the wanted results need."""
-
-    shaft: ShaftAngle
-    frames: Mapping[Any, xr.Dataset]
-
-    @property
-    def name(self) -> str:
-        """Name of the recording: its path inside the folder of the test."""
-        return str(self.shaft.attrs["recording"])
-
-    @property
-    def flags(self) -> list[QualityFlag]:
-        """Quality flags of shaft and frames, each once, in the order in which they were raised."""
-        seen: list[QualityFlag] = []
-        for dataset in (*self.frames.values(), self.shaft):
-            seen += [flag for flag in flags_of(dataset) if flag not in seen]
-        return seen
-
-    def history_of(self, noun: Any) -> str:
-        """History of the frames of this ``noun``, or of the shaft."""
-        return str((self.shaft if noun is ShaftAngle else self.frames[noun]).attrs.get("history", ""))
-
-
-class Gathered(Sequence[xr.Dataset]):
-    """Frames of one noun of all ``recordings`` that have it, taken from each as they are asked for."""
-
-    def __init__(self, recordings: Sequence[RecordingResult], noun: Any) -> None:
-        """Those of the ``noun``, ShaftAngle or one of the frames."""
-        self._noun = noun
-        self._of = [item for item in recordings if noun is ShaftAngle or noun in item.frames]
-
-    def __len__(self) -> int:
-        """Number of recordings."""
-        return len(self._of)
-
-    def __getitem__(self, number: Any) -> Any:
-        """Dataset of the recording ``number``; a list for a slice."""
-        if isinstance(number, slice):
-            return [self[k] for k in range(*number.indices(len(self)))]
-        one = self._of[number]
-        return one.shaft if self._noun is ShaftAngle else one.frames[self._noun]
-
-    @property
-    def histories(self) -> list[str]:
-        """History of each dataset."""
-        return [one.history_of(self._noun) for one in self._of]
-
-
-@dataclass(frozen=True)
 class CampaignResult:
-    """What a test gives to its report: datasets by result name and the ``shaft``; findings, None where nobody asked."""
+    """What a test gives to its report: datasets by result name and the ``shaft``; findings, empty where none asked."""
 
     datasets: dict[str, xr.Dataset]
-    findings: Findings | None
+    findings: Findings
 
 
 def frames_wanted(settings: Settings) -> tuple[Any, ...]:
     """Nouns of one recording that the results named in ``settings`` of the report need."""
     needs = _plan_of_test(settings.report.results).needs
-    return tuple(noun for gathered, noun in FRAMES_OF.items() if gathered in needs)
+    return tuple(noun for gathered, noun in FRAMES_OF.items() if gathered in needs and noun is not ShaftAngle)
 
 
 @functools.cache
 def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
     """Plan of the results of that name; tracks follow only orders asked for by name where findings are not wanted."""
-    given = [*FRAMES_OF, AllShaftAngles, TestName, MachineModel, Settings]
+    given = [*FRAMES_OF, TestName, MachineModel, Settings]
     given += [] if "findings" in results else [Findings]
     return StagePlan(STAGES, wanted=[*(RESULTS[name] for name in results), ShaftSummary], given=given)
 
@@ -486,6 +463,8 @@ def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
 def _plan_of_recording(wanted: tuple[Any, ...], given: tuple[Any, ...]) -> StagePlan:
     return StagePlan(STAGES, wanted=wanted, given=given)
 
+
+OF_SHAFT_ALONE = "not sought: no vibration was recorded, the shaft alone"
 
 _shafts: dict[int, tuple[Any, ShaftAngle]] = {}
 """What the pulses of each Recording in memory told last, by the array of their times, and from what."""
@@ -527,25 +506,61 @@ def analyse_recording(
     return RecordingResult(made[ShaftAngle], {noun: made[noun] for noun in frames})
 
 
+def compare_recordings(recordings: list[RecordingResult], *, strict: bool, settings: Settings) -> Doubts:
+    """Doubts about the ``recordings`` of a test beside each other; ``strict`` leaves out "suspect" ones too.
+
+    ``settings`` of all stages.
+    """
+    flags = {recording.name: recording.flags for recording in recordings}
+    given = {**_gathered(recordings), RecordingFlags: flags, Strict: strict, Settings: settings}
+    doubts: Doubts = _plan_of_recording((Doubts,), tuple(given)).run(given)[Doubts]
+    return doubts
+
+
 def analyse_test(
-    recordings: list[RecordingResult], *, test: str, sources: MachineModel, settings: Settings
+    recordings: list[RecordingResult], doubts: Doubts, *, test: str, sources: MachineModel, settings: Settings
 ) -> CampaignResult:
     """The results of the test named ``test`` that its ``settings`` ask for, from those of its ``recordings``.
 
-    ``sources`` says what the machine is made of; ``settings`` are those of all stages.
+    What the ``doubts`` leave out takes no part. ``sources`` says what the machine is made of; ``settings`` are those
+    of all stages.
     """
+    kept = [recording.doubted(doubts) for recording in recordings if recording.name not in doubts.left_out]
     results = settings.report.results
-    given: dict[Any, Any] = {
-        TestName: test,
-        MachineModel: sources,
-        Settings: settings,
-        Findings: nothing_sought(test, reason=""),
-        AllShaftAngles: Gathered(recordings, ShaftAngle),
-        **{gathered: Gathered(recordings, noun) for gathered, noun in FRAMES_OF.items()},
-    }
-    made = _plan_of_test(results).run(given)
+    given = {TestName: test, MachineModel: sources, Settings: settings, Findings: nothing_sought(test, reason="")}
+    made = _plan_of_test(results).run({**given, **_gathered(kept)})
     # what every band shows of every train of strikes is for the findings alone: it would double the results
     datasets = {
         str(name): made[RESULTS[name]].drop_dims("look", errors="ignore") for name in results if name != "findings"
     }
-    return CampaignResult({**datasets, "shaft": made[ShaftSummary]}, made.get(Findings))
+    datasets["shaft"] = made[ShaftSummary]
+    found = made.get(Findings) or _unsought_findings(datasets, test=test, settings=settings)
+    of_recordings = quality_of(flag for recording in kept for flag in recording.flags)
+    quality = (*found.quality, *(flag for flag in of_recordings if flag not in found.quality))
+    of_encoder = {order for order, name in NAMES.items() if any(f"encoder_{name}" == flag.flag for flag in quality)}
+    encoder_deg = {float(order): settings.orders.largest_eccentricity_deg / order**2 for order in NAMES}
+    swings = speed_swings(Gathered(kept, ShaftAngle), of_encoder=of_encoder, encoder_deg=encoder_deg)
+    return CampaignResult(datasets, replace(found, quality=quality, speed_swing=swings))
+
+
+def _gathered(recordings: list[RecordingResult]) -> dict[Any, Any]:
+    """What all ``recordings`` gave, by the nouns of a test."""
+    return {gathered: Gathered(recordings, noun) for gathered, noun in FRAMES_OF.items()}
+
+
+def _unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: Settings) -> Findings:
+    """Findings with nothing in them and the reason under ``not_asked_for``.
+
+    ``datasets`` are the results of the ``test`` of that name, ``settings`` say which were asked for.
+    """
+    maps = [dataset for dataset in datasets.values() if "channel" in dataset.variables]
+    columns = (maps[0][name].values.tolist() if maps else [] for name in ("channel", "unit", "quantity"))
+    speeds = [dataset["speed"].values for dataset in maps if "speed" in dataset.variables]
+    known = np.concatenate(speeds if maps else [datasets["shaft"][name].values for name in ("speed_min", "speed_max")])
+    known = known[np.isfinite(known)]
+    wanted = ", ".join(name.replace("_", " ") for name in settings.report.results)
+    reason = f"not asked for: the recipe wants {wanted} only" if wanted else OF_SHAFT_ALONE
+    made = tuple(Channel(name=name, unit=unit, quantity=kind) for name, unit, kind in zip(*columns, strict=True))
+    tested = (float(known.min()), float(known.max())) if known.size else (None, None)
+    quality = quality_of(flags_of_all(datasets.values()))
+    return nothing_sought(test, reason=reason, channels=made, speed_range_rpm=tested, quality=quality)

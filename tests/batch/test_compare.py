@@ -64,10 +64,7 @@ def test_a_balance_weight_is_recognised_and_weighed(results, tmp_path):
     assert made["cause"] == {"cause": "unbalance", "orders": [1.0]}
     (record,) = [one for one in made["unbalance"] if one["explains"]]
     assert record["factor_ci95"][0] < 0.2 < record["factor_ci95"][1]
-    (grams,) = made["masses"]
     before = 2.0 / abs(1 - 0.2 * np.exp(0.5j))
-    assert grams["unit"] == "g" and grams["before_ci95"][0] < before < grams["before_ci95"][1]
-    assert grams["after_ci95"][0] < 0.2 * before < grams["after_ci95"][1]
     assert "balance weight" in made["headline"][0]
     trial = made["trial_mass"]
     for key, size in (("residual_rotating_gmm", before), ("residual_after_gmm", 0.2 * before)):

@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.batch.changed_gains import short_recordings
-from crankorder.quantities import ShaftAngle
-from crankorder.stages import RecordingResult
 from made.command import crankorder
 from made.recordings import manifest
 
@@ -84,27 +81,3 @@ def test_a_folder_without_a_manifest_stops_no_other(tmp_path):
     assert (tmp_path / "out" / "names" / "findings.json").is_file()
     assert crankorder("run", other, "--out", tmp_path / "out2").exit_code == 2
     assert not (tmp_path / "out2").exists()
-
-
-# A recording that lost its end is told by the others of its test.
-
-
-def lasting(*lengths_s):
-    return [
-        RecordingResult(
-            ShaftAngle(xr.Dataset({"time": ("knot", np.linspace(0.1, 0.1 + length, 50))}, attrs={"recording": f"{k}"})),
-            {},
-        )
-        for k, length in enumerate(lengths_s)
-    ]
-
-
-def test_a2_a_recording_that_is_shorter_than_all_others_is_told():
-    [flag] = short_recordings(lasting(5.0, 5.02, 4.99, 3.1, 5.0, 5.0))
-    assert (flag["recording"], flag["flag"], flag["severity"]) == ("3", "shorter_than_others", "info")
-    assert "3.1 s" in flag["detail"] and "5 s" in flag["detail"]
-
-
-def test_lengths_that_differ_anyway_say_nothing():
-    for lengths in ((5.0, 5.0, 3.0), (5.0, 7.0, 3.0, 9.0), (5.0, 5.05, 4.95, 4.9), (0.0,) * 5, ()):
-        assert short_recordings(lasting(*lengths)) == [], lengths

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy import integrate, signal
 
 from crankorder.campbell.band_levels import (
@@ -23,7 +22,7 @@ RATE_HZ = 8192.0
 WIDE = (LevelBand("velocity", 10.0, 1000.0), LevelBand("as measured", 10.0, 1000.0))
 
 
-def levels(*recordings: xr.Dataset, bands: tuple[LevelBand, ...] = WIDE) -> xr.Dataset:
+def levels(*recordings, bands=WIDE):
     items = []
     for one in recordings:
         angle = held(1500.0, one.sizes["time"] / one.attrs["rate_hz"])
@@ -34,13 +33,13 @@ def levels(*recordings: xr.Dataset, bands: tuple[LevelBand, ...] = WIDE) -> xr.D
     return made.isel(speed=0)
 
 
-def at_times(seconds: float, rate_hz: float = RATE_HZ) -> np.ndarray:
+def at_times(seconds, rate_hz=RATE_HZ):
     return np.arange(int(seconds * rate_hz)) / rate_hz
 
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(8))
-def test_the_velocity_of_lines_is_the_analytic_one(seed: int) -> None:
+def test_the_velocity_of_lines_is_the_analytic_one(seed):
     rng = np.random.default_rng(seed)
     hertz, size = rng.uniform(13.0, 850.0, 5), rng.uniform(0.1, 10.0, 5)
     phase, at = rng.uniform(0.0, 2 * np.pi, 5), at_times(20.0)
@@ -55,7 +54,7 @@ def test_the_velocity_of_lines_is_the_analytic_one(seed: int) -> None:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(4))
-def test_levels_of_a_velocity_agree_with_a_trapezoidal_integral_and_a_butterworth_filter(seed: int) -> None:
+def test_levels_of_a_velocity_agree_with_a_trapezoidal_integral_and_a_butterworth_filter(seed):
     rng, rate = np.random.default_rng(seed), 32768.0
     at = at_times(20.0, rate)
     noise = signal.lfilter(*signal.butter(2, [40.0, 600.0], "band", fs=rate), rng.standard_normal(at.size))
@@ -69,7 +68,7 @@ def test_levels_of_a_velocity_agree_with_a_trapezoidal_integral_and_a_butterwort
     assert float(made["largest_peak"][0]) == pytest.approx(float(np.abs(filtered[middle]).max()), rel=0.08)
 
 
-def test_peak_and_crest_factor_of_a_sine_and_of_a_beat() -> None:
+def test_peak_and_crest_factor_of_a_sine_and_of_a_beat():
     at = at_times(20.0)
     sine = levels(accelerometer(3.0 * np.cos(2 * np.pi * 97.3 * at), RATE_HZ))
     assert float(sine["crest_factor"][1]) == pytest.approx(np.sqrt(2.0), rel=3e-3)
@@ -78,7 +77,7 @@ def test_peak_and_crest_factor_of_a_sine_and_of_a_beat() -> None:
     assert float(beat["crest_factor"][1]) == pytest.approx(2.0, rel=0.01)  # 2 / sqrt(2 / 2)
 
 
-def test_one_third_octaves_hold_all_the_energy_between_their_ends() -> None:
+def test_one_third_octaves_hold_all_the_energy_between_their_ends():
     """Parseval: the squares of all octaves add up to that of the whole band."""
     rng, rate = np.random.default_rng(3), 51200.0
     low, high = THIRD_OCTAVES_HZ[3] / 10**0.05, THIRD_OCTAVES_HZ[30] * 10**0.05
@@ -92,7 +91,7 @@ def test_one_third_octaves_hold_all_the_energy_between_their_ends() -> None:
     assert np.abs(octaves["rms"] / expected - 1.0)[8:].max() < 0.06
 
 
-def test_a_line_is_in_its_own_octave_alone_and_names_are_nominal() -> None:
+def test_a_line_is_in_its_own_octave_alone_and_names_are_nominal():
     names = [nominal_hz(one) for one in THIRD_OCTAVES_HZ]
     assert names[:6] == [10.0, 12.5, 16.0, 20.0, 25.0, 31.5]
     assert names[-3:] == [12500.0, 16000.0, 20000.0]
@@ -107,7 +106,7 @@ def test_a_line_is_in_its_own_octave_alone_and_names_are_nominal() -> None:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(100, 112))
-def test_no_octave_that_holds_nothing_is_surely_told_beside_a_line(seed: int) -> None:
+def test_no_octave_that_holds_nothing_is_surely_told_beside_a_line(seed):
     rng = np.random.default_rng(seed)
     hertz, at = 10.0 ** rng.uniform(1.2, 3.4), at_times(rng.uniform(4.0, 25.0))
     line = accelerometer(np.cos(2 * np.pi * hertz * at + rng.uniform(0.0, 6.0)), RATE_HZ)
@@ -120,7 +119,7 @@ def test_no_octave_that_holds_nothing_is_surely_told_beside_a_line(seed: int) ->
 
 
 @pytest.mark.slow
-def test_intervals_of_levels_cover_the_truth_behind_noise() -> None:
+def test_intervals_of_levels_cover_the_truth_behind_noise():
     rate, hits, trials = 4096.0, np.zeros(4), 400
     bands = (LevelBand("as measured", 10.0, 1000.0), LevelBand("as measured", 178.0, 224.0))
     for seed in range(trials):
@@ -135,7 +134,7 @@ def test_intervals_of_levels_cover_the_truth_behind_noise() -> None:
     assert (hits[:2] / trials < 0.98).all(), hits
 
 
-def test_a_band_beyond_the_recorder_says_where_it_ends_and_a_pressure_has_no_velocity() -> None:
+def test_a_band_beyond_the_recorder_says_where_it_ends_and_a_pressure_has_no_velocity():
     slow = levels(accelerometer(np.random.default_rng(0).standard_normal(9520), 952.0))
     assert slow["reached_frequency"].values.tolist() == pytest.approx([952.0 / 2.56] * 2)
     pressure = accelerometer(np.random.default_rng(0).standard_normal(40960), RATE_HZ)
@@ -143,7 +142,7 @@ def test_a_band_beyond_the_recorder_says_where_it_ends_and_a_pressure_has_no_vel
     assert levels(pressure)["quantity"].values.tolist() == ["pressure"]
 
 
-def test_missing_samples_take_no_part_and_short_recordings_have_no_level() -> None:
+def test_missing_samples_take_no_part_and_short_recordings_have_no_level():
     at = at_times(10.0)
     values = np.cos(2 * np.pi * 50.0 * at)
     values[30_000:31_000] = np.nan
@@ -152,7 +151,7 @@ def test_missing_samples_take_no_part_and_short_recordings_have_no_level() -> No
     assert made.sizes["frame"] == 0
 
 
-def test_blocks_of_a_long_recording_meet_without_a_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_of_a_long_recording_meet_without_a_seam(monkeypatch):
     from crankorder.campbell import band_levels
 
     values = np.cumsum(np.random.default_rng(5).standard_normal(int(60 * 2560.0)))
@@ -171,9 +170,7 @@ SWEEP_HZ = 5120.0
 BAND = (LevelBand("as measured", 10.0, 1000.0),)
 
 
-def swept(
-    seed: int, *, seconds: float, size: float = 1.0, down: bool = False
-) -> tuple[xr.Dataset, np.ndarray, np.ndarray]:
+def swept(seed, *, seconds, size=1.0, down=False):
     """LevelFrames of a run-up through a resonance, and the speed and mean square (sample,) that was put in."""
     rng = np.random.default_rng(seed)
     at = np.arange(int(seconds * SWEEP_HZ)) / SWEEP_HZ
@@ -192,16 +189,14 @@ def swept(
     return frames_along(values, rpm, turns, BAND, f"{seed} {down}"), rpm, 0.5 * line**2 + noise**2
 
 
-def frames_along(
-    values: np.ndarray, rpm: np.ndarray, turns: np.ndarray, bands: tuple[LevelBand, ...], name: str = "a"
-) -> xr.Dataset:
+def frames_along(values, rpm, turns, bands, name="a"):
     """LevelFrames of ``values`` of a shaft that turns ``rpm`` and is at ``turns``, at each sample."""
     at, knots = np.arange(rpm.size) / SWEEP_HZ, slice(None, None, 64)
     angle = shaft(at[knots], turns[knots], rpm[knots])
     return level_frames(accelerometer(values, SWEEP_HZ, name), angle, bands=bands, frame_s=0.5)
 
 
-def true_levels(made: xr.Dataset, rpm: np.ndarray, square: np.ndarray) -> np.ndarray:
+def true_levels(made, rpm, square):
     """Root mean square that was put in about the mean speed of each row, over as long as its pieces."""
     speeds = made["speed"].values
     parts = np.split(square, np.searchsorted(rpm, 0.5 * (speeds[1:] + speeds[:-1])))
@@ -209,7 +204,7 @@ def true_levels(made: xr.Dataset, rpm: np.ndarray, square: np.ndarray) -> np.nda
 
 
 @pytest.mark.slow
-def test_a_run_up_is_told_in_windows_along_it_whose_intervals_hold_the_level() -> None:
+def test_a_run_up_is_told_in_windows_along_it_whose_intervals_hold_the_level():
     hits, rows, wide = 0, 0, []
     for seed in range(60):
         seconds = float(np.random.default_rng(seed).uniform(8.0, 30.0))
@@ -225,7 +220,7 @@ def test_a_run_up_is_told_in_windows_along_it_whose_intervals_hold_the_level() -
 
 
 @pytest.mark.slow
-def test_where_run_ups_differ_the_interval_is_that_between_them() -> None:
+def test_where_run_ups_differ_the_interval_is_that_between_them():
     """A machine that is three times as loud on the way down: each row holds what both ways show."""
     held = 0
     for seed in range(12):
@@ -239,7 +234,7 @@ def test_where_run_ups_differ_the_interval_is_that_between_them() -> None:
     assert held >= 11
 
 
-def test_a_limit_that_the_end_of_a_window_passes_is_not_kept_by_its_mean() -> None:
+def test_a_limit_that_the_end_of_a_window_passes_is_not_kept_by_its_mean():
     """A level that grows with the cube of speed: what is to be surely within is told at the louder end."""
     for seed in range(3):
         rng = np.random.default_rng(seed)

@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.campbell.levels import recording_levels
 from crankorder.identify.levels import level_records
@@ -19,18 +18,18 @@ SETTINGS = load_settings()
 RATE_HZ = 25_600.0
 
 
-def recorded(signals: np.ndarray) -> xr.Dataset:
+def recorded(signals):
     return sampled(signals, recording="a.h5", rate_hz=RATE_HZ, encoder_kind="none")
 
 
-def by_angle(signals: np.ndarray, *, samples_per_rev: int, speed_rpm: float) -> xr.Dataset:
+def by_angle(signals, *, samples_per_rev, speed_rpm):
     made = recorded(signals).rename({"time": "crank_angle"})
     del made.attrs["rate_hz"]
     made.attrs |= {"domain": "crank_angle", "samples_per_rev": samples_per_rev, "speed_rpm": speed_rpm}
     return made
 
 
-def levels(recording: xr.Dataset, speed_rpm: float) -> xr.Dataset:
+def levels(recording, speed_rpm):
     duration = recording["signal"].shape[1] / float(recording.attrs.get("rate_hz", RATE_HZ))
     made = recording_levels(recording, held(speed_rpm, duration), orders=SETTINGS.orders, campbell=SETTINGS.campbell)
     check_dataset(made, "recording_levels")
@@ -39,7 +38,7 @@ def levels(recording: xr.Dataset, speed_rpm: float) -> xr.Dataset:
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(6))
-def test_a_mesh_above_the_band_is_found_with_its_size_and_order(seed: int) -> None:
+def test_a_mesh_above_the_band_is_found_with_its_size_and_order(seed):
     rng = np.random.default_rng(seed)
     rpm, order, size = rng.uniform(900, 3000), rng.uniform(40, 90), 10.0 ** rng.uniform(-1, 2)
     low = size * rng.uniform(0.1, 0.9)
@@ -55,7 +54,7 @@ def test_a_mesh_above_the_band_is_found_with_its_size_and_order(seed: int) -> No
 
 
 @pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 10), marks=pytest.mark.slow)])
-def test_noise_and_lines_inside_the_band_are_no_line_above_it(seeds: range) -> None:
+def test_noise_and_lines_inside_the_band_are_no_line_above_it(seeds):
     rng = np.random.default_rng(11)
     at = np.arange(int(4 * RATE_HZ)) / RATE_HZ
     for seed in seeds:
@@ -69,7 +68,7 @@ def test_noise_and_lines_inside_the_band_are_no_line_above_it(seeds: range) -> N
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(8))
-def test_a_light_mode_that_noise_makes_ring_is_no_line(seed: int) -> None:
+def test_a_light_mode_that_noise_makes_ring_is_no_line(seed):
     from scipy.signal import lfilter
 
     rng = np.random.default_rng(seed)
@@ -80,7 +79,7 @@ def test_a_light_mode_that_noise_makes_ring_is_no_line(seed: int) -> None:
     assert levels(recorded(ringing), 1500.0)["peak_above"].values.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_in_a_run_up_the_order_is_a_line_and_the_mode_that_noise_rings_is_none() -> None:
+def test_in_a_run_up_the_order_is_a_line_and_the_mode_that_noise_rings_is_none():
     rng = np.random.default_rng(3)
     at = np.arange(int(10 * RATE_HZ)) / RATE_HZ
     angle = (900.0 * at + 0.5 * 60.0 * at**2) / 60.0
@@ -92,13 +91,13 @@ def test_in_a_run_up_the_order_is_a_line_and_the_mode_that_noise_rings_is_none()
     assert float(made["peak_above"][0]) == pytest.approx(2.0, rel=0.2)
 
 
-def test_white_noise_lies_above_the_band_by_its_share_of_the_spectrum() -> None:
+def test_white_noise_lies_above_the_band_by_its_share_of_the_spectrum():
     noise = np.random.default_rng(2).standard_normal((1, int(6 * RATE_HZ)))
     share = float(levels(recorded(noise), 600.0)["share_above"][0])
     assert share == pytest.approx(1.0 - SETTINGS.campbell.max_frequency_hz / (RATE_HZ / 2), abs=0.01)
 
 
-def test_by_crank_angle_the_order_is_told_with_and_without_a_speed() -> None:
+def test_by_crank_angle_the_order_is_told_with_and_without_a_speed():
     rev = np.arange(200 * 360) / 360
     signal = (np.cos(2 * np.pi * 2 * rev) + 3.0 * np.cos(2 * np.pi * 47.0 * rev))[None]
     unknown = levels(by_angle(signal, samples_per_rev=360, speed_rpm=np.nan), 1500.0).isel(channel=0)
@@ -108,7 +107,7 @@ def test_by_crank_angle_the_order_is_told_with_and_without_a_speed() -> None:
     assert float(known["peak_above"]) == pytest.approx(3.0, rel=0.03)
 
 
-def test_gaps_are_left_out_and_what_is_too_short_or_all_missing_is_not_told() -> None:
+def test_gaps_are_left_out_and_what_is_too_short_or_all_missing_is_not_told():
     at = np.arange(int(3 * RATE_HZ)) / RATE_HZ
     signal = np.stack([2.0 * np.cos(2 * np.pi * 3000 * at)] * 2)
     signal[0, 20_000:30_000] = np.nan
@@ -120,7 +119,7 @@ def test_gaps_are_left_out_and_what_is_too_short_or_all_missing_is_not_told() ->
     assert np.isnan(short["rms"].values).all()
 
 
-def test_records_take_the_strongest_line_and_all_energy() -> None:
+def test_records_take_the_strongest_line_and_all_energy():
     at = np.arange(int(2 * RATE_HZ)) / RATE_HZ
     made = [levels(recorded(size * np.cos(2 * np.pi * 2000 * at)[None]), 1500.0) for size in (1.0, 3.0)]
     quiet = levels(recorded(4.0 * np.cos(2 * np.pi * 100 * at)[None]), 1500.0)

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map, leading_frames
@@ -55,7 +53,7 @@ def test_a_record_shorter_than_the_resolution_lands_on_the_same_frequencies():
     assert short.attrs["enbw_hz"] == pytest.approx(1.5, rel=1e-6)
 
 
-def crank_angle_frames(speed_rpm: float) -> xr.Dataset:
+def crank_angle_frames(speed_rpm):
     angle = np.arange(360 * 200) / 360
     attrs = {"samples_per_rev": 360, "speed_rpm": speed_rpm, "encoder_kind": "none"}
     band = sampled(np.cos(2 * np.pi * 3.0 * angle)[None], domain="crank_angle", **attrs)
@@ -93,14 +91,14 @@ def test_a_slow_recording_that_ends_the_map_is_named():
 RATE_HZ, BINS = 1024, 400
 
 
-def frames_of(signal: NDArray[np.float64], *, name: str, rpm: float = 1200.0) -> xr.Dataset:
+def frames_of(signal, *, name, rpm=1200.0):
     """FrequencyFrames of ``signal`` (channels, samples): Hann frames of 1 s."""
     settings = SETTINGS.model_copy(update={"resolution_hz": 1.0, "max_frequency_hz": BINS - 1.0})
     recording = sampled(signal, rate_hz=float(RATE_HZ), recording=name)
     return frequency_frames(recording, held(rpm, signal.shape[1] / RATE_HZ), settings=settings)
 
 
-def recordings(seed: int, *, ring: float) -> list[xr.Dataset]:
+def recordings(seed, *, ring):
     """Twelve recordings of noise of 4 s in two channels, with a mode of 80 Hz and 0.5 % that ``ring``s at first."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(4 * RATE_HZ) / RATE_HZ
@@ -115,7 +113,7 @@ def recordings(seed: int, *, ring: float) -> list[xr.Dataset]:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(5))
-def test_the_floor_without_the_start_is_that_of_noise(seed: int) -> None:
+def test_the_floor_without_the_start_is_that_of_noise(seed):
     quiet = campbell_map(recordings(seed, ring=0.0), speed_bin_rpm=10.0)
     rung = campbell_map(recordings(seed, ring=2.0), speed_bin_rpm=10.0)
     near = slice(76, 85)
@@ -131,7 +129,7 @@ def test_the_floor_without_the_start_is_that_of_noise(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_noise_loses_next_to_nothing() -> None:
+def test_noise_loses_next_to_nothing():
     lost = 0
     for seed in range(20):
         leading = leading_frames(recordings(seed, ring=0.0))
@@ -139,7 +137,7 @@ def test_noise_loses_next_to_nothing() -> None:
     assert lost <= 400  # of 8000 bins: a chance of half a percent in each of two channels, and the bins beside
 
 
-def test_what_does_not_turn_keeps_its_start() -> None:
+def test_what_does_not_turn_keeps_its_start():
     struck = recordings(1, ring=3.0)
     for item in struck:
         item["speed"] = ("frame", np.full(item.sizes["frame"], np.nan))

@@ -3,7 +3,6 @@
 import copy
 import json
 import tomllib
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,12 +18,12 @@ CRANK_ENGINES = [name for name, text in shipped("engines").items() if "kind" not
 KEYS = {"engine", "lambda", "harmonics", "force_g_mm", "strategies", "shafts", "crankshaft", "notes", "sentences"}
 
 
-def sheet_of(name: str, **options: Any) -> dict[str, Any]:
+def sheet_of(name, **options):
     """Sheet of a shipped engine."""
     return balance_sheet(load_balanced_engine(name), **options).as_dict()
 
 
-def test_every_shipped_engine_has_a_sheet_that_json_keeps_whole() -> None:
+def test_every_shipped_engine_has_a_sheet_that_json_keeps_whole():
     for name in CRANK_ENGINES:
         sheet = sheet_of(name)
         assert set(sheet) >= KEYS, name
@@ -34,7 +33,7 @@ def test_every_shipped_engine_has_a_sheet_that_json_keeps_whole() -> None:
 
 
 @pytest.mark.parametrize("name", CRANK_ENGINES)
-def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name: str) -> None:
+def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name):
     subject = load_balanced_engine(name)
     bare = subject.engine.model_copy(update={"shafts": BalanceShafts()})
     force = np.abs(crankcase_forces(bare, 2000.0, max_order=8))
@@ -48,7 +47,7 @@ def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name: str
         assert [stated.get(str(k), 0.0) for k in range(1, 9)] == pytest.approx(known[1:], rel=1e-12, abs=round_off_n)
 
 
-def test_literature_the_optical_engine_shows_table_1_and_what_is_left(shared_truth: dict[str, Any]) -> None:
+def test_literature_the_optical_engine_shows_table_1_and_what_is_left(shared_truth):
     sheet = sheet_of("msu-optical", speeds_rpm=[2000.0])
     for row in shared_truth["seed001"]["table1"]["rows_g_mm"]["optical"]:
         order = str(row["order"])
@@ -61,14 +60,14 @@ def test_literature_the_optical_engine_shows_table_1_and_what_is_left(shared_tru
         assert fact in said
 
 
-def test_an_engine_with_its_own_shafts_shows_what_these_leave() -> None:
+def test_an_engine_with_its_own_shafts_shows_what_these_leave():
     own = sheet_of("msu-optical-second", speeds_rpm=[2000.0])["shafts"]["own"]
     assert own["orders"] == [1, 2]
     assert own["residual_g_mm"]["x"]["3"] == pytest.approx(193249.6 * 0.0071162976, rel=1e-7)
     assert sheet_of("msu-optical")["shafts"]["own"] is None
 
 
-def test_several_cylinders_show_their_sum_and_no_strategies_of_one() -> None:
+def test_several_cylinders_show_their_sum_and_no_strategies_of_one():
     """Two cylinders side by side with opposite pins."""
     cylinders = [{"crank_deg": 0.0, "position_m": -0.05}, {"crank_deg": 180.0, "position_m": 0.05}]
     table = {"crank_radius_m": 0.04, "rod_length_m": 0.14, "reciprocating_mass_kg": 0.5, "cylinders": cylinders}
@@ -87,7 +86,7 @@ def test_several_cylinders_show_their_sum_and_no_strategies_of_one() -> None:
 @pytest.mark.parametrize(
     "options", [{"max_order": 3}, {"speeds_rpm": []}, {"speeds_rpm": [0.0]}, {"speeds_rpm": [float("nan")]}]
 )
-def test_a_sheet_without_orders_or_speeds_is_refused(options: dict[str, Any]) -> None:
+def test_a_sheet_without_orders_or_speeds_is_refused(options):
     with pytest.raises(RequestError, match="balance sheet"):
         sheet_of("task5", **options)
 
@@ -95,12 +94,12 @@ def test_a_sheet_without_orders_or_speeds_is_refused(options: dict[str, Any]) ->
 # The table [balance] of engine files: bad ones name every fault at once.
 
 
-def task5() -> dict[str, Any]:
+def task5():
     """Content of the engine file of Task 5, to be spoilt."""
     return copy.deepcopy(tomllib.loads(shipped("engines")["task5"]))
 
 
-def test_all_faults_of_engine_and_balance_are_named_at_once() -> None:
+def test_all_faults_of_engine_and_balance_are_named_at_once():
     table = task5()
     table["rod_length_m"] = 0.02
     table["reciprocating_mass_kg"] = -1.0
@@ -117,7 +116,7 @@ def test_all_faults_of_engine_and_balance_are_named_at_once() -> None:
     assert text.count("spoilt.toml") == 5
 
 
-def test_parts_that_do_not_add_up_to_the_engine_are_refused() -> None:
+def test_parts_that_do_not_add_up_to_the_engine_are_refused():
     for key in ("crank_radius_m", "rod_length_m", "reciprocating_mass_kg", "rotating_unbalance_kg_m"):
         table = task5()
         table[key] *= 1.01

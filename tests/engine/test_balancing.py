@@ -1,7 +1,5 @@
 """Counterweights: Task 5 as printed, the exact forces of the truth sheet, and the laws behind the strategies."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -33,12 +31,12 @@ PLACES = TASK5.balance.places
 
 
 @pytest.fixture
-def masses() -> ReducedMasses:
+def masses():
     """Task 5 before balancing."""
     return reduced_masses(TASK5)
 
 
-def test_frame_forces_are_those_of_the_truth_sheet(masses: ReducedMasses, shared_truth: dict[str, Any]) -> None:
+def test_frame_forces_are_those_of_the_truth_sheet(masses, shared_truth):
     table = shared_truth["seed000"]["Fx_Fy_reference_g_mm_at_omega_1_lambda_0.25_l1_25"]
     force = polar_diagram(force_by_order(masses, max_order=40), np.array([float(angle) for angle in table]) / 360)
     known = np.array([complex(float(x), float(y)) for x, y in table.values()])
@@ -46,7 +44,7 @@ def test_frame_forces_are_those_of_the_truth_sheet(masses: ReducedMasses, shared
     assert np.abs(force - known).max() < 1e-12 * np.abs(known).max()
 
 
-def test_analytic_orders_add_up_to_the_exact_force_with_offset_too(masses: ReducedMasses) -> None:
+def test_analytic_orders_add_up_to_the_exact_force_with_offset_too(masses):
     offset = SliderCrank(crank_radius_m=0.025, rod_length_m=0.1, offset_m=0.007)
     for model in (masses, ReducedMasses(mechanism=offset, rotating_g=450 * np.exp(0.3j), reciprocating_g=320.0)):
         pin = model.crank_radius_mm * model.rotating_g * np.exp(2j * np.pi * ANGLES)
@@ -54,12 +52,12 @@ def test_analytic_orders_add_up_to_the_exact_force_with_offset_too(masses: Reduc
         assert np.abs(polar_diagram(force_by_order(model, max_order=40), ANGLES) - exact).max() < 1e-13 * 19250
 
 
-def test_analytic_the_couple_of_strategy_d_is_the_rate_of_angular_momentum(masses: ReducedMasses) -> None:
+def test_analytic_the_couple_of_strategy_d_is_the_rate_of_angular_momentum(masses):
     added = counterweights(masses, "d", PLACES)
     step = 1e-4
     angle = 2 * np.pi * ANGLES
 
-    def place(phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def place(phi):
         return 25 * np.cos(phi) - 40 * np.sqrt(1 - (np.sin(phi) / 4) ** 2), (25 + 40 / 4) * np.sin(phi)
 
     (x, y), (x_on, y_on), (x_back, y_back) = place(angle), place(angle + step), place(angle - step)
@@ -69,14 +67,14 @@ def test_analytic_the_couple_of_strategy_d_is_the_rate_of_angular_momentum(masse
     assert np.abs(couple).max() > 1e6
 
 
-def test_strategy_d_without_a_place_on_the_rod_is_refused(masses: ReducedMasses) -> None:
+def test_strategy_d_without_a_place_on_the_rod_is_refused(masses):
     with pytest.raises(RequestError, match="rod_mm"):
         counterweights(masses, "d", CounterweightPlaces(crank_mm=20.0))
 
 
 @pytest.mark.parametrize("strategy", ["c", "a", "b", "d"])
 @pytest.mark.parametrize("angle_deg", [37.0, 0.0, 90.0, 180.0, 217.0])
-def test_analytic_counterweights_end_an_unbalance_at_any_angle(strategy: Any, angle_deg: float) -> None:
+def test_analytic_counterweights_end_an_unbalance_at_any_angle(strategy, angle_deg):
     turned = ReducedMasses(
         mechanism=TASK5.engine.mechanism, rotating_g=1000 * phasor(angle_deg), reciprocating_g=1000.0
     )
@@ -95,7 +93,7 @@ ANGLES_POLAR = np.arange(360) / 360
 
 
 @given(x=PARTS, y=PARTS, order=st.integers(1, 6))
-def test_analytic_rotating_parts_draw_the_curve_of_their_axes(x: complex, y: complex, order: int) -> None:
+def test_analytic_rotating_parts_draw_the_curve_of_their_axes(x, y, order):
     force = OrderForce.of_axes(order=order, x_g_mm=x, y_g_mm=y)
     turn = np.exp(2j * np.pi * order * ANGLES_POLAR)
     expected = (x * turn).real + 1j * (y * turn).real
@@ -105,7 +103,7 @@ def test_analytic_rotating_parts_draw_the_curve_of_their_axes(x: complex, y: com
 
 
 @pytest.mark.slow
-def test_analytic_semi_axes_bound_the_curve() -> None:
+def test_analytic_semi_axes_bound_the_curve():
     force = OrderForce.of_axes(order=1, x_g_mm=3 + 1j, y_g_mm=0.5 - 2j)
     size = np.abs(polar_diagram([force], np.arange(100_000) / 100_000))
     largest, smallest = force.semi_axes_g_mm
@@ -113,7 +111,7 @@ def test_analytic_semi_axes_bound_the_curve() -> None:
     assert size.min() == pytest.approx(smallest, rel=1e-6)
 
 
-def test_the_direction_of_rotation_is_that_of_the_drawn_curve() -> None:
+def test_the_direction_of_rotation_is_that_of_the_drawn_curve():
     turning = {(2, -2j): "with crank", (2, 2j): "against crank", (5, -1j): "with crank"}
     for (x, y), rotation in (turning | {(2, 0): "line", (0, -3j): "line", (0, 0): "none"}).items():
         force = OrderForce.of_axes(order=1, x_g_mm=x, y_g_mm=y)
@@ -124,7 +122,7 @@ def test_the_direction_of_rotation_is_that_of_the_drawn_curve() -> None:
 
 
 @pytest.mark.slow
-def test_what_cancels_to_round_off_is_zero_and_what_does_not_is_kept() -> None:
+def test_what_cancels_to_round_off_is_zero_and_what_does_not_is_kept():
     third = OrderForce(order=1, direct_g_mm=1 / 3)
     total = sum_by_order(
         [third, third, third, OrderForce(order=1, direct_g_mm=-1.0), OrderForce(order=2, reverse_g_mm=1)]
@@ -138,6 +136,6 @@ def test_what_cancels_to_round_off_is_zero_and_what_does_not_is_kept() -> None:
 # What stays unbalanced in the thesis engines: leading terms, spacer and offset.
 
 
-def test_analytic_leading_harmonics_are_the_limit_of_the_exact_ones() -> None:
+def test_analytic_leading_harmonics_are_the_limit_of_the_exact_ones():
     assert leading_harmonics(4, 0.5) == pytest.approx([0.5, 0.5**3 / 4, 9 * 0.5**5 / 128, 5 * 0.5**7 / 256], rel=1e-15)
     assert leading_harmonics(6, 1e-4) == pytest.approx(even_harmonics(6, 1e-4), rel=1e-6)

@@ -1,7 +1,6 @@
 """The torque curve of document 003: exact through its nodes, to round-off."""
 
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from crankorder.errors import RequestError
 CURVE = load_hinged_engine("elastic-hinge").curve
 
 
-def exact_torque(angle_rev: float) -> Fraction:
+def exact_torque(angle_rev):
     """The polynomial through the nodes in exact arithmetic, by Lagrange's formula."""
     angle = Fraction(float(angle_rev)) * 360
     branch = CURVE.branches[0] if angle < 180 else CURVE.branches[1]
@@ -34,14 +33,14 @@ def exact_torque(angle_rev: float) -> Fraction:
     return total
 
 
-def test_the_torque_is_within_1e_12_of_exact_arithmetic_in_double_precision() -> None:
+def test_the_torque_is_within_1e_12_of_exact_arithmetic_in_double_precision():
     grid = np.linspace(0, 1, 721)
     pairs = zip(crank_torque(grid, CURVE), grid, strict=True)
     assert max(abs(float(Fraction(float(torque)) - exact_torque(angle))) for torque, angle in pairs) < 1e-12
     assert crank_torque([0, 0.5, 1, -3], CURVE).tolist() == [0, 0, 0, 0]
 
 
-def test_mean_and_work_are_the_exact_ones(shared_truth: dict[str, Any]) -> None:
+def test_mean_and_work_are_the_exact_ones(shared_truth):
     expected = shared_truth["seed003"]
     assert pytest.approx(float(expected["mean_torque_Nm"]["decimal"]), rel=1e-15) == CURVE.mean_nm
     assert pytest.approx(float(expected["work_per_rev_J"]), rel=1e-14) == CURVE.work_per_rev_j
@@ -51,7 +50,7 @@ def test_mean_and_work_are_the_exact_ones(shared_truth: dict[str, Any]) -> None:
         assert pytest.approx(float(expected[name]), rel=1e-15) == float(branch.integral_nm_deg)
 
 
-def test_harmonics_are_the_true_ones_up_to_order_64(shared_truth: dict[str, Any]) -> None:
+def test_harmonics_are_the_true_ones_up_to_order_64(shared_truth):
     listed = shared_truth["seed003"]["Mcr_Fourier_Nm"]
     harmonics = torque_harmonics([int(order) for order in listed], CURVE)
     np.testing.assert_allclose(harmonics.real, [float(line["cos"]) for line in listed.values()], rtol=1e-12)
@@ -59,7 +58,7 @@ def test_harmonics_are_the_true_ones_up_to_order_64(shared_truth: dict[str, Any]
     np.testing.assert_allclose(np.abs(harmonics), [float(line["amp"]) for line in listed.values()], rtol=1e-12)
 
 
-def test_the_potential_torque_does_no_work_in_a_revolution() -> None:
+def test_the_potential_torque_does_no_work_in_a_revolution():
     nodes, weights = np.polynomial.legendre.leggauss(16)
     halves = np.concatenate([0.25 + 0.25 * nodes, 0.75 + 0.25 * nodes])
     assert abs(np.tile(weights, 2) @ potential_torque(halves, CURVE)) < 1e-11
@@ -75,12 +74,12 @@ def test_the_potential_torque_does_no_work_in_a_revolution() -> None:
         ((0.0, 360.0), (0.0, float("nan")), "finite"),
     ],
 )
-def test_impossible_nodes_are_refused(angles: tuple[float, ...], torques: tuple[float, ...], what: str) -> None:
+def test_impossible_nodes_are_refused(angles, torques, what):
     with pytest.raises(ValidationError, match=what):
         TorqueBranch(angle_deg=angles, torque_nm=torques)
 
 
-def test_a_gap_between_branches_is_refused() -> None:
+def test_a_gap_between_branches_is_refused():
     first = TorqueBranch(angle_deg=(0.0, 170.0), torque_nm=(0.0, 1.0))
     second = TorqueBranch(angle_deg=(180.0, 360.0), torque_nm=(1.0, 0.0))
     for branches in ((first, second), (first,), (second,), ()):

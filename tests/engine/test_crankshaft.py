@@ -1,7 +1,6 @@
 """Balance of the crankshaft: table 2 of the thesis recomputed, two planes, fans and slugs."""
 
 import tomllib
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ DATA = load_balanced_engine("msu-shafts").balance.crankshaft
 assert DATA is not None
 
 
-def test_analytic_a_two_plane_correction_brings_both_sums_to_zero() -> None:
+def test_analytic_a_two_plane_correction_brings_both_sums_to_zero():
     sums = crankshaft_sums(DATA.sections)
     first_mm, *_, last_mm = DATA.places.values()
     added = two_plane_correction(sums, (first_mm, last_mm))
@@ -38,14 +37,14 @@ def test_analytic_a_two_plane_correction_brings_both_sums_to_zero() -> None:
 
 
 @given(datum=st.floats(-500, 500))
-def test_analytic_another_datum_moves_the_couple_by_the_static_unbalance(datum: float) -> None:
+def test_analytic_another_datum_moves_the_couple_by_the_static_unbalance(datum):
     sums = crankshaft_sums(DATA.sections)
     moved = crankshaft_sums([one.model_copy(update={"z_mm": one.z_mm - datum}) for one in DATA.sections])
     assert moved.static_kg_mm == sums.static_kg_mm
     assert abs(sums.dynamic_kg_mm2 - datum * sums.static_kg_mm - moved.dynamic_kg_mm2) < 1e-9
 
 
-def test_analytic_mass_and_centroid_of_a_fan_are_those_of_its_integral() -> None:
+def test_analytic_mass_and_centroid_of_a_fan_are_those_of_its_integral():
     nodes, weights = np.polynomial.legendre.leggauss(40)
     for inner, fan in ((0.0, 359.0), (0.0, 180.0), (20.0, 120.0), (30.0, 200.0), (59.9, 1e-3)):
         weight = FanCounterweight(
@@ -59,7 +58,7 @@ def test_analytic_mass_and_centroid_of_a_fan_are_those_of_its_integral() -> None
         assert weight.unbalance_kg_mm == pytest.approx(moment, rel=1e-12, abs=1e-15)
 
 
-def test_literature_radius_then_thickness_then_fan_angle_change_the_balance_most() -> None:
+def test_literature_radius_then_thickness_then_fan_angle_change_the_balance_most():
     for fan in (60.0, 120.0, 180.0):
         sizes = {"radius_mm": 60.0, "thickness_mm": 18.0, "fan_angle_deg": fan}
         weight = FanCounterweight(**sizes, density_kg_m3=7850.0, inner_radius_mm=20.0)
@@ -76,13 +75,13 @@ def test_literature_radius_then_thickness_then_fan_angle_change_the_balance_most
 @pytest.mark.parametrize(
     "wrong", [{"radius_mm": 0.0}, {"fan_angle_deg": 360.0}, {"inner_radius_mm": 60.0}, {"density_kg_m3": float("nan")}]
 )
-def test_a_counterweight_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
+def test_a_counterweight_that_cannot_be_is_refused(wrong):
     sizes = {"radius_mm": 60.0, "thickness_mm": 18.0, "fan_angle_deg": 120.0, "density_kg_m3": 7850.0}
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         FanCounterweight(**(sizes | wrong))
 
 
-def fan_crankshaft(**changes: Any) -> dict[str, Any]:
+def fan_crankshaft(**changes):
     """Content of the shipped file with counterweights by shape; ``changes`` of its crankshaft."""
     content = tomllib.loads(shipped("engines")["msu-crankshaft"])
     content["balance"]["crankshaft"] |= changes
@@ -93,9 +92,7 @@ def fan_crankshaft(**changes: Any) -> dict[str, Any]:
 @given(
     st.floats(20, 300), st.floats(0, 0.95), st.floats(1, 350), st.floats(0.3, 1.5), st.floats(-40, 40), st.floats(1, 60)
 )
-def test_analytic_a_resized_fan_has_the_unbalance_asked_for(
-    radius: float, inner: float, fan: float, more: float, angle: float, thickness: float
-) -> None:
+def test_analytic_a_resized_fan_has_the_unbalance_asked_for(radius, inner, fan, more, angle, thickness):
     weight = FanCounterweight(
         radius_mm=radius, inner_radius_mm=inner * radius, thickness_mm=thickness, fan_angle_deg=fan,
         density_kg_m3=7850.0, angle_deg=angle,
@@ -112,7 +109,7 @@ def test_analytic_a_resized_fan_has_the_unbalance_asked_for(
 
 
 @pytest.mark.slow
-def test_the_rod_as_cut_and_as_weighed_takes_the_place_of_the_bob_weight() -> None:
+def test_the_rod_as_cut_and_as_weighed_takes_the_place_of_the_bob_weight():
     content = fan_crankshaft()
     content["balance"]["rod_split"]["on_pin"] = {
         "mass_g": 1673.0, "centre_from_big_end_mm": 38.6, "rod_length_mm": 157.0916,
@@ -143,7 +140,7 @@ SLUG = {"into": "Counterweight 1", "diameter_mm": 1.0, "length_mm": 3.0, "radius
         ("msu-shafts", {"sections": []}, "crankshaft.sections"),
     ],
 )  # fmt: skip
-def test_a_crankshaft_that_cannot_be_is_refused_by_name(name: str, change: dict[str, Any], message: str) -> None:
+def test_a_crankshaft_that_cannot_be_is_refused_by_name(name, change, message):
     content = tomllib.loads(shipped("engines")[name])
     content["balance"]["crankshaft"] |= change
     with pytest.raises(ManyErrors, match=message):

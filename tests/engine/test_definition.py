@@ -1,6 +1,5 @@
 """Engine files: what is wrong is told all at once."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,14 +15,14 @@ from crankorder.errors import ManyErrors, RequestError
 GOOD = "crank_radius_m = 0.05\nrod_length_m = 0.15\nreciprocating_mass_kg = 1.0\n"
 
 
-def test_a_users_engine_is_found_beside_the_manifest(tmp_path: Path) -> None:
+def test_a_users_engine_is_found_beside_the_manifest(tmp_path):
     (tmp_path / "mine.toml").write_text(GOOD)
     assert load_engine("mine.toml", tmp_path) == load_engine("mine", tmp_path)
     with pytest.raises(RequestError, match="no such engine"):
         load_engine("mine.toml")
 
 
-def test_another_kind_of_engine_is_refused_by_name(tmp_path: Path) -> None:
+def test_another_kind_of_engine_is_refused_by_name(tmp_path):
     (tmp_path / "other.toml").write_text("kind = 'elastic-hinge'\n")
     for load, kind in (
         (load_engine, "an engine of cranks"),
@@ -35,7 +34,7 @@ def test_another_kind_of_engine_is_refused_by_name(tmp_path: Path) -> None:
             load("nowhere", beside=tmp_path)
 
 
-def test_faults_of_lengths_masses_keys_and_parts_are_all_told_at_once(tmp_path: Path) -> None:
+def test_faults_of_lengths_masses_keys_and_parts_are_all_told_at_once(tmp_path):
     (tmp_path / "bad.toml").write_text(
         """
         crank_radius_m = 0.15
@@ -82,7 +81,7 @@ MISFITS = {
 """Parts that do not fit an engine, and what is told of them."""
 
 
-def test_parts_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+def test_parts_that_do_not_fit_are_refused(tmp_path):
     for text, fault in MISFITS.items():
         (tmp_path / "bad.toml").write_text(GOOD + text)
         with pytest.raises(ManyErrors, match=fault) as caught:
@@ -93,7 +92,7 @@ def test_parts_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 # Bearing orders against the truth sheet.
 
 
-def test_the_eleven_ball_bearing_has_the_orders_of_the_truth_sheet(shared_truth: dict[str, Any]) -> None:
+def test_the_eleven_ball_bearing_has_the_orders_of_the_truth_sheet(shared_truth):
     for ratio, known in shared_truth["seed001"]["bearing_11_balls_half_speed_orders"].items():
         orders = bearing_orders(
             Bearing(name="jack", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=float(ratio))
@@ -106,9 +105,7 @@ def test_the_eleven_ball_bearing_has_the_orders_of_the_truth_sheet(shared_truth:
 
 
 @given(st.integers(3, 40), st.floats(0.05, 0.6), st.floats(0, 60), st.floats(0.1, 4))
-def test_inner_and_outer_race_lines_add_up_to_elements_times_shaft_speed(
-    elements: int, ball: float, contact_deg: float, ratio: float
-) -> None:
+def test_inner_and_outer_race_lines_add_up_to_elements_times_shaft_speed(elements, ball, contact_deg, ratio):
     bearing = Bearing(
         name="any", shaft_ratio=ratio, rolling_elements=elements, ball_over_pitch=ball, contact_angle_deg=contact_deg
     )
@@ -118,7 +115,7 @@ def test_inner_and_outer_race_lines_add_up_to_elements_times_shaft_speed(
     assert 0 < orders["BPFO"] < orders["BPFI"]
 
 
-def test_published_orders_win_over_geometry_and_turn_with_the_shaft() -> None:
+def test_published_orders_win_over_geometry_and_turn_with_the_shaft():
     # 6205-2RS as the CWRU bearing data centre publishes it, in multiples of shaft speed
     published = {"bpfo": 3.5848, "bpfi": 5.4152, "bsf": 4.7135 / 2, "ftf": 0.39828}
     bearing = Bearing(name="6205-2RS", shaft_ratio=2.0, rolling_elements=9, ball_over_pitch=0.2, **published)
@@ -126,7 +123,7 @@ def test_published_orders_win_over_geometry_and_turn_with_the_shaft() -> None:
     assert orders == {"N*fs": 18.0, "BPFO": 7.1696, "BPFI": 10.8304, "BSF": 4.7135, "FTF": 0.79656}
 
 
-def test_published_orders_and_geometry_of_every_listed_bearing_agree() -> None:
+def test_published_orders_and_geometry_of_every_listed_bearing_agree():
     for designation, listed in bearing_catalogue().items():
         assert listed.source
         published = bearing_orders(Bearing(name="b", designation=designation))
@@ -137,7 +134,7 @@ def test_published_orders_and_geometry_of_every_listed_bearing_agree() -> None:
         assert published == pytest.approx(rolling, rel=2e-4), designation
 
 
-def test_what_is_stated_wins_over_the_catalogue() -> None:
+def test_what_is_stated_wins_over_the_catalogue():
     stated = bearing_orders(Bearing(name="b", designation="6205-2RS", bpfo=3.6))
     assert (stated["BPFO"], stated["BPFI"]) == (3.6, 5.4152)
     # another geometry is another bearing: none of the published orders is kept
@@ -146,12 +143,12 @@ def test_what_is_stated_wins_over_the_catalogue() -> None:
     )
 
 
-def test_an_unknown_designation_is_told_what_there_is() -> None:
+def test_an_unknown_designation_is_told_what_there_is():
     with pytest.raises(ValidationError, match=r"no such bearing in the catalogue, which has 6205-2RS, "):
         Bearing(name="b", designation="6205")
 
 
-def test_orders_that_no_bearing_has_are_refused() -> None:
+def test_orders_that_no_bearing_has_are_refused():
     wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"bpfo": 5.4, "bpfi": 3.6}, "must exceed bpfo"),
         ({"rolling_elements": 8, "bpfo": 3.58, "bpfi": 5.42}, "must add up to the 8 rolling elements"),

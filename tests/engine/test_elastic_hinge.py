@@ -1,6 +1,5 @@
 """The hinge at the crank pin: M12, its characteristics and the side force they leave, against the truth sheet."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from crankorder.engine.elastic_hinge import (
     Joint,
     PinHinge,
-    Weight,
     air_spring,
     balanced_crank,
     branch_quadrature,
@@ -46,40 +44,38 @@ THIRTIES = np.arange(12) / 12
 RPM = 30 / np.pi
 
 
-def changed(crank: HingedCrank, **values: float) -> HingedCrank:
+def changed(crank, **values):
     """The mechanism with other lengths, weights or inertias."""
     return HingedCrank.model_validate(crank.model_dump() | values)
 
 
 @pytest.fixture(params=sorted(CRANKS))
-def name(request: pytest.FixtureRequest) -> str:
+def name(request):
     """Each mechanism of the document's figures 3 to 5."""
     return str(request.param)
 
 
 @pytest.fixture
-def crank(name: str) -> HingedCrank:
+def crank(name):
     """Its data."""
     return CRANKS[name]
 
 
 @pytest.fixture
-def expected(shared_truth: dict[str, Any], name: str) -> dict[str, Any]:
+def expected(shared_truth, name):
     """Its numbers in the truth sheet."""
     numbers: dict[str, Any] = shared_truth["seed003"]["mechanisms"][name]
     return numbers
 
 
-def test_m12_is_the_true_one(crank: HingedCrank, expected: dict[str, Any]) -> None:
+def test_m12_is_the_true_one(crank, expected):
     moment = hinge_moment(THIRTIES, crank, CURVE, speed_rpm=300 * RPM)
     reference = [float(value) for value in expected["reference_M12_exact_w300_I2slender"].values()]
     np.testing.assert_allclose(moment, reference, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("pin_hinge", "is_spring"), [("potential", True), ("printed", False)])
-def test_only_the_corrected_characteristic_does_no_work_over_its_own_angle(
-    crank: HingedCrank, pin_hinge: PinHinge, is_spring: bool
-) -> None:
+def test_only_the_corrected_characteristic_does_no_work_over_its_own_angle(crank, pin_hinge, is_spring):
     angle_rev, weight = branch_quadrature(crank, CURVE)
     moment = hinge_moment(angle_rev, crank, CURVE, speed_rpm=100 * RPM, pin_hinge=pin_hinge)
     over_hinge = 2 * np.pi * float(weight @ (moment * rod_motion(angle_rev, crank).hinge_rate))
@@ -92,7 +88,7 @@ def test_only_the_corrected_characteristic_does_no_work_over_its_own_angle(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gap", [1.0, 1e-2, 1e-6, 1e-12])
-def test_a_mean_over_the_revolution_is_exact_however_short_the_rod(gap: float) -> None:
+def test_a_mean_over_the_revolution_is_exact_however_short_the_rod(gap):
     crank = changed(CRANKS["fig3_ac"], crank_radius_m=0.4 / (1 + gap))
     angle_rev, weight = branch_quadrature(crank, CURVE)
     motion = rod_motion(angle_rev, crank)
@@ -125,20 +121,20 @@ speeds_rad_s = [100]
 """
 
 
-def load(folder: Path, text: str) -> Any:
+def load(folder, text):
     """The engine of a file with this text."""
     (folder / "mine.toml").write_text(text)
     return load_hinged_engine("mine", folder)
 
 
-def test_a_rod_without_inertia_is_taken_as_slender(tmp_path: Path) -> None:
+def test_a_rod_without_inertia_is_taken_as_slender(tmp_path):
     engine = load(tmp_path, GOOD)
     assert engine.mechanisms[0].crank.rod_inertia_kg_m2 == pytest.approx(12 / 9.81 * 0.3**2 / 12, rel=1e-15)
     assert load(tmp_path, GOOD + "rod_inertia_kg_m2 = 0.0\n").mechanisms[0].crank.rod_inertia_kg_m2 == 0
     assert engine.mechanisms[0].speeds_rpm == pytest.approx([954.9296585513721])
 
 
-def test_every_fault_of_a_file_is_told(tmp_path: Path) -> None:
+def test_every_fault_of_a_file_is_told(tmp_path):
     wrong = GOOD.replace("rod_weight_n = 12.0", "rod_weight_n = -1.0\nrod_wieght_n = 1.0").replace("[0, 360]", "[0]")
     with pytest.raises(ManyErrors) as caught:
         load(tmp_path, wrong)
@@ -159,7 +155,7 @@ def test_every_fault_of_a_file_is_told(tmp_path: Path) -> None:
         (GOOD, "mechanisms = []" + GOOD[: GOOD.index("[[mech")], "at least one"),
     ],
 )
-def test_data_that_cannot_turn_or_do_not_join_are_refused(tmp_path: Path, before: str, after: str, what: str) -> None:
+def test_data_that_cannot_turn_or_do_not_join_are_refused(tmp_path, before, after, what):
     with pytest.raises(ManyErrors, match=what):
         load(tmp_path, GOOD.replace(before, after))
 
@@ -170,7 +166,7 @@ def test_data_that_cannot_turn_or_do_not_join_are_refused(tmp_path: Path, before
 HINGES: tuple[PinHinge, ...] = ("full", "potential", "printed")
 
 
-def newton_euler(angle: float, crank: HingedCrank, omega: float, hinge_nm: float, torque_nm: float) -> tuple:
+def newton_euler(angle, crank, omega, hinge_nm, torque_nm):
     """Side force and strut moment from the eight equations of crank, rod and piston as free bodies.
 
     Everything is written out from the positions: nothing of the package's kinematics is used. ``angle``: rad, no dead
@@ -183,14 +179,14 @@ def newton_euler(angle: float, crank: HingedCrank, omega: float, hinge_nm: float
     rate = ratio * c / np.cos(psi)
     rate_rate = (np.sin(psi) * rate**2 - ratio * s) / np.cos(psi)
 
-    def on_rod(distance: float) -> tuple[np.ndarray, np.ndarray]:
+    def on_rod(distance):
         """Place from the crank pin and acceleration of a point of the rod's line."""
         place = distance * np.array([np.cos(psi), -np.sin(psi)])
         along = -radius * c - distance * (np.cos(psi) * rate**2 + np.sin(psi) * rate_rate)
         across = -radius * s + distance * (np.sin(psi) * rate**2 - np.cos(psi) * rate_rate)
         return place, omega**2 * np.array([along, across])
 
-    def cross(place: np.ndarray, force: np.ndarray) -> float:
+    def cross(place, force):
         return float(place[0] * force[1] - place[1] * force[0])
 
     pin = radius * np.array([c, s])
@@ -230,7 +226,7 @@ def newton_euler(angle: float, crank: HingedCrank, omega: float, hinge_nm: float
 
 @pytest.mark.parametrize("pin_hinge", HINGES)
 @pytest.mark.parametrize("name", sorted(CRANKS))
-def test_newtons_laws_give_the_same_side_force_and_strut_moment(name: str, pin_hinge: PinHinge) -> None:
+def test_newtons_laws_give_the_same_side_force_and_strut_moment(name, pin_hinge):
     crank = CRANKS[name]
     angles = np.array([0.011, 0.07, 0.19, 0.25, 0.31, 0.44, 0.487, 0.52, 0.61, 0.75, 0.83, 0.97])
     for omega in (0.0, 100.0, 300.0):
@@ -251,7 +247,7 @@ def test_newtons_laws_give_the_same_side_force_and_strut_moment(name: str, pin_h
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["fig5_a", "fig5_bcd"])
-def test_the_reduced_inertia_is_the_true_one(shared_truth: dict[str, Any], name: str) -> None:
+def test_the_reduced_inertia_is_the_true_one(shared_truth, name):
     numbers = shared_truth["seed003"]["M1"][name]
     crank = CRANKS[name]
     expected = [float(value) for value in numbers["reference_Igiv_exact"].values()]
@@ -267,7 +263,7 @@ def test_the_reduced_inertia_is_the_true_one(shared_truth: dict[str, Any], name:
 @pytest.mark.slow
 @pytest.mark.parametrize("pin_hinge", HINGES)
 @pytest.mark.parametrize("name", sorted(CRANKS))
-def test_the_work_of_the_strut_hinge_is_the_closed_form_at_every_speed(name: str, pin_hinge: PinHinge) -> None:
+def test_the_work_of_the_strut_hinge_is_the_closed_form_at_every_speed(name, pin_hinge):
     crank = CRANKS[name]
     angle_rev, weight = branch_quadrature(crank, CURVE)
     for omega in (0.0, 500.0):
@@ -285,7 +281,7 @@ NO_TORQUE = CrankTorque(branches=(TorqueBranch(angle_deg=(0.0, 360.0), torque_nm
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weight", ["rod_counterweight_n", "rod_weight_n", "piston_weight_n"])
-def test_a_weight_for_the_corrected_characteristic_brings_the_centre_of_mass_to_the_pin(weight: Weight) -> None:
+def test_a_weight_for_the_corrected_characteristic_brings_the_centre_of_mass_to_the_pin(weight):
     crank = changed(CRANKS["fig5_bcd"], rod_counterweight_n=200.0)
     found = weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")
     solved = changed(crank, **{weight: found})
@@ -293,14 +289,14 @@ def test_a_weight_for_the_corrected_characteristic_brings_the_centre_of_mass_to_
     assert np.abs(side_force(HALF_DEGREES, solved, CURVE, pin_hinge="potential")).max() < 1e-12
 
 
-def test_a_weight_that_would_be_negative_or_has_no_arm_is_refused() -> None:
+def test_a_weight_that_would_be_negative_or_has_no_arm_is_refused():
     crank = CRANKS["fig3_ac"]
     for weight in ("rod_weight_n", "rod_counterweight_n"):
         with pytest.raises(RequestError, match="without side force"):
             weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")  # type: ignore[arg-type]
 
 
-def test_equation_13_cancels_every_shaking_force(shared_truth: dict[str, Any]) -> None:
+def test_equation_13_cancels_every_shaking_force(shared_truth):
     balanced = {name: balanced_crank(CRANKS[name]) for name in ("fig5_a", "fig5_bcd")}
     for crank in balanced.values():
         along, across = shaking_force(HALF_DEGREES, crank)
@@ -317,7 +313,7 @@ def test_equation_13_cancels_every_shaking_force(shared_truth: dict[str, Any]) -
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("name", sorted(CRANKS))
 @pytest.mark.parametrize("joint", ["pin", "strut"])
-def test_a_table_closes_and_holds_the_moment_at_its_angles(name: str, joint: Joint) -> None:
+def test_a_table_closes_and_holds_the_moment_at_its_angles(name, joint):
     crank = CRANKS[name]
     table = hinge_table(crank, CURVE, joint=joint, speed_rpm=2000.0, n_steps=90)
     scale = np.abs(table.moment_nm).max()
@@ -330,7 +326,7 @@ def test_a_table_closes_and_holds_the_moment_at_its_angles(name: str, joint: Joi
 
 
 @pytest.mark.slow
-def test_where_inertia_alone_acts_the_pressure_goes_with_the_squared_speed() -> None:
+def test_where_inertia_alone_acts_the_pressure_goes_with_the_squared_speed():
     crank = balanced_crank(CRANKS["fig5_bcd"])
     cases: tuple[tuple[Joint, CrankTorque], ...] = (("pin", NO_TORQUE), ("strut", NO_TORQUE), ("strut", CURVE))
     for joint, torque in cases:
@@ -341,12 +337,12 @@ def test_where_inertia_alone_acts_the_pressure_goes_with_the_squared_speed() -> 
 
 
 @pytest.mark.slow
-def test_no_other_pressure_leaves_less_and_what_is_left_is_told() -> None:
+def test_no_other_pressure_leaves_less_and_what_is_left_is_told():
     crank = CRANKS["fig5_bcd"]
     change = air_spring(crank, CURVE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=1200.0)
     before, after = (hinge_table(crank, CURVE, joint="pin", speed_rpm=rpm, n_steps=2880) for rpm in (1000.0, 1200.0))
 
-    def rms(ratio: float) -> float:
+    def rms(ratio):
         return float(np.sqrt(np.mean((after.moment_nm - ratio * before.moment_nm)[:-1] ** 2)))
 
     assert rms(change.pressure_ratio) < min(rms(change.pressure_ratio * 0.999), rms(change.pressure_ratio * 1.001))
@@ -357,7 +353,7 @@ def test_no_other_pressure_leaves_less_and_what_is_left_is_told() -> None:
     assert change.speed_fluctuation == pytest.approx(swing / energy, rel=1e-3)
 
 
-def test_a_spring_without_moment_is_refused() -> None:
+def test_a_spring_without_moment_is_refused():
     weightless = changed(CRANKS["fig3_ac"], rod_weight_n=0.0, piston_weight_n=0.0, rod_inertia_kg_m2=0.0)
     with pytest.raises(RequestError, match="without a moment"):
         air_spring(weightless, NO_TORQUE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=2000.0)
@@ -371,7 +367,7 @@ SPRING = GuideData(
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("joint", ["pin", "strut"])
 @pytest.mark.parametrize("name", ["fig3_bd", "fig4_a", "fig5_bcd"])
-def test_analytic_the_spring_between_its_guides_makes_the_moment_of_the_hinge(name: str, joint: Joint) -> None:
+def test_analytic_the_spring_between_its_guides_makes_the_moment_of_the_hinge(name, joint):
     table = hinge_table(CRANKS[name], CURVE, joint=joint, speed_rpm=3000.0, n_steps=7200)
     guides = hinge_guides(table, SPRING)
     compression = SPRING.free_length_m - guides.length_m
@@ -395,7 +391,7 @@ def test_analytic_the_spring_between_its_guides_makes_the_moment_of_the_hinge(na
     assert np.abs(moment - table.moment_nm[:-1]).max() < 2e-3 * np.abs(table.moment_nm).max()
 
 
-def test_a_roller_larger_than_the_bends_of_its_guide_is_told() -> None:
+def test_a_roller_larger_than_the_bends_of_its_guide_is_told():
     table = hinge_table(CRANKS["fig5_bcd"], CURVE, joint="pin", speed_rpm=3000.0, n_steps=720)
     assert not hinge_guides(table, SPRING).undercut
     assert hinge_guides(table, SPRING.model_copy(update={"roller_radius_m": 0.2})).undercut
@@ -406,12 +402,12 @@ def test_a_roller_larger_than_the_bends_of_its_guide_is_told() -> None:
     ("change", "key"),
     [({"most_compression_m": 0.02}, "most_compression_m"), ({"middle_radius_m": 0.1}, "middle_radius_m")],
 )
-def test_a_spring_that_cannot_be_is_refused(change: dict[str, float], key: str) -> None:
+def test_a_spring_that_cannot_be_is_refused(change, key):
     with pytest.raises(ValueError, match=key):
         GuideData(**(SPRING.model_dump() | change))
 
 
-def test_the_sheet_has_the_curves_of_figure_3() -> None:
+def test_the_sheet_has_the_curves_of_figure_3():
     found = {one["name"]: one for one in hinge_sheet(ENGINE, max_order=4).as_dict()["mechanisms"]}
     crank = CRANKS["fig3_ac"]
     for speed, curves in found["fig3_ac"]["curves"].items():

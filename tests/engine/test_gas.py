@@ -1,7 +1,6 @@
 """Gas forces and torques: work, orders and superposition."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,11 +35,11 @@ DATA: dict[str, Any] = {
 }
 
 
-def engine(**differences: Any) -> Engine:
+def engine(**differences):
     return Engine.model_validate({**DATA, **differences})
 
 
-def test_a_torque_curve_is_taken_as_it_is() -> None:
+def test_a_torque_curve_is_taken_as_it_is():
     curve = {"crank_angle_deg": [-30.0, 0.0, 90.0, 300.0], "torque_n_m": [1.0, 4.0, -2.0, 0.5]}
     model = engine(gas=curve)
     assert gas_torque(model, np.array([0, 0.25, 2.25, -1 / 12, 45 / 360])) == pytest.approx([4, -2, -2, 1, 1])
@@ -48,7 +47,7 @@ def test_a_torque_curve_is_taken_as_it_is() -> None:
         gas_force(model, 0.1)
 
 
-def test_the_orders_of_a_straight_line_curve_are_exact() -> None:
+def test_the_orders_of_a_straight_line_curve_are_exact():
     # a triangle over the cycle: height 1 at dead centre, 8/pi^2 / n^2 at odd half orders
     model = engine(gas={"crank_angle_deg": [0.0, 360.0], "torque_n_m": [1.0, -1.0]})
     orders, torque = gas_torque_by_order(model, 5)
@@ -57,19 +56,19 @@ def test_the_orders_of_a_straight_line_curve_are_exact() -> None:
     assert np.abs(torque - known).max() < 1e-8
 
 
-def test_a_single_cylinder_fires_where_it_stands() -> None:
+def test_a_single_cylinder_fires_where_it_stands():
     model = engine(cylinders=[{"crank_deg": 30.0, "bank_deg": 10.0}])
     assert firing_angle_deg(model, model.cylinders[0]) == 340
     two_stroke = engine(cycle="two-stroke", gas=None, cylinders=[{}, {"crank_deg": 180.0}])
     assert firing_angle_deg(two_stroke, two_stroke.cylinders[1]) == 180
 
 
-def test_without_gas_there_is_no_force() -> None:
+def test_without_gas_there_is_no_force():
     assert not gas_force(engine(gas=None), np.linspace(0, 2, 9)).any()
     assert not gas_torque(engine(gas=None), np.linspace(0, 2, 9)).any()
 
 
-def volume(model: Engine, turned: Any, ratio: float) -> Any:
+def volume(model, turned, ratio):
     """Volume over the piston by hand, from the length of crank and rod in one line."""
     r, rod, e = model.crank_radius_m, model.rod_length_m, model.offset_m
     height = r * np.cos(turned) + np.sqrt(rod**2 - (r * np.sin(turned) - e) ** 2)
@@ -78,13 +77,13 @@ def volume(model: Engine, turned: Any, ratio: float) -> Any:
     return area * ((top - bottom) / (ratio - 1) + top - height)
 
 
-def pressure(model: Engine, degrees: Any) -> Any:
+def pressure(model, degrees):
     assert model.bore_m is not None
     return gas_force(model, np.asarray(degrees) / 360) / (math.pi / 4 * model.bore_m**2) + 101325.0
 
 
 @pytest.mark.parametrize("offset_m", [0.0, 0.008])
-def test_an_ideal_cycle_does_the_work_of_the_textbook(offset_m: float) -> None:
+def test_an_ideal_cycle_does_the_work_of_the_textbook(offset_m):
     model = engine(offset_m=offset_m)
     ends = volume(model, np.array([math.asin(offset_m / 0.184), math.pi + math.asin(offset_m / 0.098)]), 9.5)
     assert ends[1] / ends[0] == pytest.approx(9.5, rel=1e-9)
@@ -97,12 +96,12 @@ def test_an_ideal_cycle_does_the_work_of_the_textbook(offset_m: float) -> None:
 
 
 @pytest.mark.slow
-def test_heat_over_some_angle_follows_the_first_law() -> None:
+def test_heat_over_some_angle_follows_the_first_law():
     burn = {"burn_start_deg": -20.0, "burn_duration_deg": 60.0}
     model = engine(gas={"ideal": IDEAL | burn})
     start, length = math.radians(-20), math.radians(60)
 
-    def rise(turned: float, p: np.ndarray) -> np.ndarray:
+    def rise(turned, p):
         step = 1e-5
         slope = (volume(model, turned + step, 9.5) - volume(model, turned - step, 9.5)) / (2 * step)
         heat = 900.0 * 0.5 * math.pi / length * math.sin(math.pi * (turned - start) / length)
@@ -123,7 +122,7 @@ def test_heat_over_some_angle_follows_the_first_law() -> None:
     )
 
 
-def test_a_two_stroke_cycle_is_closed_all_the_way_round() -> None:
+def test_a_two_stroke_cycle_is_closed_all_the_way_round():
     ideal = {key: value for key, value in IDEAL.items() if key != "exhaust_pa"}
     model = engine(cycle="two-stroke", gas={"ideal": ideal})
     mean = gas_torque_by_order(model, 1)[1][0].real
@@ -132,7 +131,7 @@ def test_a_two_stroke_cycle_is_closed_all_the_way_round() -> None:
         engine(cycle="two-stroke")
 
 
-def test_the_gas_torque_by_order_is_that_of_a_quadrature() -> None:
+def test_the_gas_torque_by_order_is_that_of_a_quadrature():
     cylinders = [{"firing_deg": 0.0}, {"crank_deg": 180.0, "firing_deg": 180.0}]
     model = engine(cylinders=cylinders, gas={"ideal": IDEAL | {"burn_start_deg": -20.0, "burn_duration_deg": 60.0}})
     ends = np.radians([0, 40, 160, 180, 220, 340, 360, 540, 700, 720])  # the torque is smooth between them
@@ -151,7 +150,7 @@ def test_the_gas_torque_by_order_is_that_of_a_quadrature() -> None:
         assert line == pytest.approx(known, abs=2e-6 * float(np.abs(ours).max())), order
 
 
-def newton_euler(model: Engine, turned: float, omega: float, gas_n: float) -> dict[str, np.ndarray]:
+def newton_euler(model, turned, omega, gas_n):
     """Forces of one upright cylinder from the nine equations of rod, piston and crank, accelerations by hand."""
     assert model.rod is not None
     r, rod, e, m = model.crank_radius_m, model.rod_length_m, model.offset_m, model.rod
@@ -192,7 +191,7 @@ def newton_euler(model: Engine, turned: float, omega: float, gas_n: float) -> di
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_loads_are_those_of_an_independent_newton_euler_solution(seed: int) -> None:
+def test_loads_are_those_of_an_independent_newton_euler_solution(seed):
     draw = np.random.default_rng(seed)
     rod = {"mass_kg": 0.55, "centre_from_big_end_m": float(draw.uniform(0, 0.12)), "inertia_kg_m2": 0.003}
     model = engine(offset_m=float(draw.uniform(-0.02, 0.02)), rod=rod)
@@ -210,7 +209,7 @@ def test_loads_are_those_of_an_independent_newton_euler_solution(seed: int) -> N
 
 
 @pytest.mark.slow
-def test_gas_and_masses_are_side_by_side_and_alike_where_it_says() -> None:
+def test_gas_and_masses_are_side_by_side_and_alike_where_it_says():
     model = load_engine("inline-4-firing")
     turning = cycle_balance(model, max_order=8, speeds=[1000.0, 6000.0]).turning
     slow, fast = (turning[key].by_order["2"] for key in ("1000", "6000"))
@@ -221,7 +220,7 @@ def test_gas_and_masses_are_side_by_side_and_alike_where_it_says() -> None:
     assert "0.5" not in turning["1000"].by_order  # four alike cylinders at even intervals
 
 
-def test_the_speed_swings_by_the_energy_that_the_flywheel_takes() -> None:
+def test_the_speed_swings_by_the_energy_that_the_flywheel_takes():
     model = load_engine("inline-4-firing")
     speed, inertia = 2500.0, 50.0
     stiff = model.model_copy(update={"flywheel_inertia_kg_m2": inertia})
@@ -238,7 +237,7 @@ def test_the_speed_swings_by_the_energy_that_the_flywheel_takes() -> None:
     ("firing", "intervals"),
     [((0.0, 180.0, 360.0, 540.0), [180.0] * 4), ((0.0, 360.0, 180.0, 180.0), [180.0, 0.0, 180.0, 360.0])],
 )
-def test_firing_intervals_are_told_with_their_evenness(firing: tuple[float, ...], intervals: list[float]) -> None:
+def test_firing_intervals_are_told_with_their_evenness(firing, intervals):
     pins = [-angle % 360 for angle in firing]
     cylinders = [{"crank_deg": pin, "firing_deg": angle} for pin, angle in zip(pins, firing, strict=True)]
     model = engine(cylinders=cylinders)
@@ -246,7 +245,7 @@ def test_firing_intervals_are_told_with_their_evenness(firing: tuple[float, ...]
     assert cycle_balance(model, max_order=4, speeds=[1000.0]).firing.even == (len(set(intervals)) == 1)
 
 
-def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_path: Path) -> None:
+def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_path):
     text = "crank_radius_m = 0.043\nrod_length_m = 0.141\nreciprocating_mass_kg = 0.6\nbore_m = 0.086\n"
     (tmp_path / "it.toml").write_text(text + '[gas]\nfile = "p.csv"\n')
     rows = "crank_angle_deg,pressure_pa\n-360,1e5\n0,3e6\n30,4e6\n180,2e5\n"
@@ -277,17 +276,17 @@ ANGLES = np.linspace(0, 2, 361)
 PRESSURE = {"crank_angle_deg": [0.0, 20.0, 90.0, 360.0, 600.0], "pressure_pa": [3e6, 5e6, 4e5, 1e5, 1.5e5]}
 
 
-def loaded_engine(**differences: Any) -> Engine:
+def loaded_engine(**differences):
     return engine(**{"gas": PRESSURE, **differences})
 
 
-def summed(by_order: np.ndarray, angles: np.ndarray = ANGLES) -> np.ndarray:
+def summed(by_order, angles=ANGLES):
     phasors = np.exp(2j * np.pi * np.arange(by_order.shape[-1])[:, None] * angles)
     return (by_order[..., None] * phasors).real.sum(axis=-2)
 
 
 @pytest.mark.parametrize("offset_m", [0.0, 0.01, -0.02])
-def test_loads_add_up_to_the_inertia_force_the_rolling_moment_and_the_torque(offset_m: float) -> None:
+def test_loads_add_up_to_the_inertia_force_the_rolling_moment_and_the_torque(offset_m):
     model = loaded_engine(offset_m=offset_m)
     loads = cylinder_loads(model, ANGLES, SPEED_RPM)
     forces = summed(crankcase_forces(model, SPEED_RPM, max_order=70))
@@ -305,7 +304,7 @@ def test_loads_add_up_to_the_inertia_force_the_rolling_moment_and_the_torque(off
     assert np.abs(loads.torque_n_m - gas - inertia).max() < 1e-12 * np.abs(loads.torque_n_m).max()
 
 
-def test_the_main_bearings_together_carry_throws_of_their_own_masses_and_webs_in_force_and_moment() -> None:
+def test_the_main_bearings_together_carry_throws_of_their_own_masses_and_webs_in_force_and_moment():
     cylinders = [
         {"crank_deg": 0.0, "bank_deg": -30.0, "position_m": -0.09, "firing_deg": 330.0, "reciprocating_mass_kg": 0.9},
         {"crank_deg": 90.0, "bank_deg": 45.0, "position_m": 0.02, "firing_deg": 315.0, "rotating_unbalance_kg_m": 0.02},
@@ -334,7 +333,7 @@ def test_the_main_bearings_together_carry_throws_of_their_own_masses_and_webs_in
 
 
 @pytest.mark.slow
-def test_cylinders_of_one_engine_carry_the_same_loads_at_other_angles() -> None:
+def test_cylinders_of_one_engine_carry_the_same_loads_at_other_angles():
     cylinders = [{"firing_deg": 0.0}, {"crank_deg": 180.0, "bank_deg": 45.0, "firing_deg": 585.0}]
     model = loaded_engine(cylinders=cylinders)
     one = cylinder_loads(model, ANGLES, SPEED_RPM)
@@ -344,7 +343,7 @@ def test_cylinders_of_one_engine_carry_the_same_loads_at_other_angles() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_missing_for_loads_is_named() -> None:
+def test_what_is_missing_for_loads_is_named():
     torque_only = {"crank_angle_deg": [0.0, 90.0], "torque_n_m": [0.0, 10.0]}
     for model, fault in (
         (loaded_engine(gas=torque_only, main_bearings_m=[-0.1, 0.1]), "at the dead centres any force makes no torque"),
@@ -356,7 +355,7 @@ def test_what_is_missing_for_loads_is_named() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_m", [0.0, 1e-11, -1e-11])
-def test_a_rod_that_almost_lies_flat_keeps_the_digits_of_its_loads(offset_m: float) -> None:
+def test_a_rod_that_almost_lies_flat_keeps_the_digits_of_its_loads(offset_m):
     # at 90° cos ψ = √((1 − λ + ε)(1 + λ − ε)): thrust and torque follow from the lengths alone
     radius, rod = 0.045 * (1 - 1e-9), 0.045
     bare = {"rod": None, "crank_radius_m": radius, "rod_length_m": rod, "offset_m": offset_m}

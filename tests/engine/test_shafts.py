@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,37 +18,35 @@ from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_mom
 from crankorder.engine.forces import Z as Z_ERRORS
 from crankorder.engine.shaft_design import designs
 from crankorder.engine.shafts import (
+    BalanceTolerances,
     Gear,
     GearTolerances,
     GearTrain,
     Shaft,
     gear_errors_deg,
     opposing_pair,
+    series_residuals,
     shaft_layout,
+    tolerance_sentences,
     tolerance_study,
     weighted_wheels,
     wheels_couple,
     wheels_force,
-)
-from crankorder.engine.slider_crank import SliderCrank
-from crankorder.engine.tolerance_study import (
-    BalanceTolerances,
-    series_residuals,
-    tolerance_sentences,
     with_single_shafts,
 )
+from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import ManyErrors, RequestError
 
 ANGLES = np.arange(360) / 360
 
 
-def task5(crank_ratio: float = 0.25, offset_m: float = 0.0) -> ReducedMasses:
+def task5(crank_ratio=0.25, offset_m=0.0):
     mechanism = SliderCrank(crank_radius_m=0.025, rod_length_m=0.025 / crank_ratio, offset_m=offset_m)
     return ReducedMasses(mechanism=mechanism, rotating_g=450.0, reciprocating_g=320.0)
 
 
 @pytest.mark.parametrize(("possibility", "first_left"), [("1", 2), ("2", 1), ("3", 4), ("4", 2), ("4+2", 4)])
-def test_literature_each_possibility_cancels_what_task_5_says(possibility: Any, first_left: int) -> None:
+def test_literature_each_possibility_cancels_what_task_5_says(possibility, first_left):
     layout = shaft_layout(task5(), possibility, max_order=8)
     left = [force for force in layout.residual if force.rotation != "none"]
     assert left[0].order == first_left
@@ -59,7 +56,7 @@ def test_literature_each_possibility_cancels_what_task_5_says(possibility: Any, 
 
 
 @given(k=st.floats(0.25, 8), phase=st.floats(-180, 180), size=st.floats(0.1, 1e5))
-def test_analytic_a_pair_makes_its_unbalance_times_the_squared_speed_ratio(k: float, phase: float, size: float) -> None:
+def test_analytic_a_pair_makes_its_unbalance_times_the_squared_speed_ratio(k, phase, size):
     pair = [Shaft(speed_ratio=sign * k, unbalance_g_mm=size, phase_deg=sign * phase) for sign in (1, -1)]
     angle = 2 * np.pi * ANGLES
     # each shaft as a point that turns: minus its second derivative by crank angle
@@ -70,13 +67,13 @@ def test_analytic_a_pair_makes_its_unbalance_times_the_squared_speed_ratio(k: fl
 
 
 @given(x=st.complex_numbers(min_magnitude=1, max_magnitude=1e6), order=st.integers(1, 6))
-def test_analytic_an_opposing_pair_cancels_its_force_at_every_angle(x: complex, order: int) -> None:
+def test_analytic_an_opposing_pair_cancels_its_force_at_every_angle(x, order):
     left = polar_diagram([shaft.force for shaft in opposing_pair(x, order=order)], ANGLES)
     left += (x * np.exp(2j * np.pi * order * ANGLES)).real
     assert np.abs(left).max() < 1e-12 * abs(x)
 
 
-def test_shafts_timed_to_an_offset_engine_cancel_its_first_and_second_order_wholly() -> None:
+def test_shafts_timed_to_an_offset_engine_cancel_its_first_and_second_order_wholly():
     left = {force.order: force for force in shaft_layout(task5(offset_m=0.006), "3", max_order=4).residual}
     assert left[1].rotation == left[2].rotation == "none"
     assert abs(left[3].x_g_mm) > 1
@@ -91,18 +88,18 @@ SINGLE = {"crank_radius_m": 0.0449, "rod_length_m": 0.152, "reciprocating_mass_k
 INLINE_4 = [{"crank_deg": angle, "position_m": 0.1 * n} for n, angle in enumerate((0.0, 180.0, 180.0, 0.0))]
 
 
-def along_g_mm(engine: Engine, max_order: int = 4) -> Any:
+def along_g_mm(engine, max_order=4):
     return crankcase_forces(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order)[Z] * 1e6
 
 
-def stated(*pairs: tuple[int, float], **differences: Any) -> Engine:
+def stated(*pairs, **differences):
     listed = [{"order": order, "unbalance_g_mm": size} for order, size in pairs]
     timed_to = differences.pop("timed_to", "force")
     return Engine.model_validate({**SINGLE, **differences, "shafts": {"pairs": listed, "timed_to": timed_to}})
 
 
 @pytest.mark.slow
-def test_a_stated_pair_between_cylinders_stands_against_the_sum_and_makes_a_moment() -> None:
+def test_a_stated_pair_between_cylinders_stands_against_the_sum_and_makes_a_moment():
     second = abs(along_g_mm(stated())[2])
     pair = {"pairs": [{"order": 2, "unbalance_g_mm": second}], "position_m": 0.15}  # 4 · second is the force of all
     model = Engine.model_validate({**SINGLE, "cylinders": INLINE_4, "shafts": pair})
@@ -113,7 +110,7 @@ def test_a_stated_pair_between_cylinders_stands_against_the_sum_and_makes_a_mome
     assert moment * 1e6 == pytest.approx(-0.1 * 4 * second)
 
 
-def test_a_pair_with_nothing_to_stand_against_is_refused() -> None:
+def test_a_pair_with_nothing_to_stand_against_is_refused():
     for shafts, place in (({"orders": [1]}, "shafts"), ({"pairs": [{"order": 1, "unbalance_g_mm": 100.0}]}, "pairs")):
         model = Engine.model_validate({**SINGLE, "cylinders": INLINE_4, "shafts": shafts})
         with pytest.raises(RequestError, match=rf"{place}.*the pistons make no force along Z.*found order 1"):
@@ -124,7 +121,7 @@ def test_a_pair_with_nothing_to_stand_against_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_cancelled_orders_and_stated_pairs_stand_side_by_side() -> None:
+def test_cancelled_orders_and_stated_pairs_stand_side_by_side():
     shafts = {"orders": [1], "unbalanced_mass_kg": 0.116, "pairs": [{"order": 2, "unbalance_g_mm": 5000.0}]}
     both = Engine.model_validate({**SINGLE, "shafts": shafts})
     left, bare = along_g_mm(both), along_g_mm(stated())
@@ -153,7 +150,7 @@ def test_cancelled_orders_and_stated_pairs_stand_side_by_side() -> None:
         ),
     ],
 )
-def test_a_pair_that_cannot_be_is_told_once(tmp_path: Path, shafts: str, place: str, problem: str) -> None:
+def test_a_pair_that_cannot_be_is_told_once(tmp_path, shafts, place, problem):
     lengths = "crank_radius_m = 0.05\nrod_length_m = 0.15\nreciprocating_mass_kg = 1.0\n"
     (tmp_path / "bad.toml").write_text(f"{lengths}[shafts]\n{shafts}\n")
     with pytest.raises(ManyErrors) as caught:
@@ -169,7 +166,7 @@ def test_a_pair_that_cannot_be_is_told_once(tmp_path: Path, shafts: str, place: 
 RPM = 30 / math.pi
 
 
-def test_shafts_that_are_all_late_leave_their_chord() -> None:
+def test_shafts_that_are_all_late_leave_their_chord():
     engine = load_engine("inline-4-firing")
     bare = engine.model_copy(update={"shafts": BalanceShafts()})
     second = 1e6 * abs(crankcase_forces(bare, RPM, max_order=2)[Z_ERRORS, 2])
@@ -180,7 +177,7 @@ def test_shafts_that_are_all_late_leave_their_chord() -> None:
 
 
 @pytest.mark.parametrize("late_deg", [3.0, 12.0])
-def test_a_shaft_against_a_couple_that_is_late_leaves_the_chord_of_its_couple(late_deg: float) -> None:
+def test_a_shaft_against_a_couple_that_is_late_leaves_the_chord_of_its_couple(late_deg):
     engine = load_engine("inline-3")
     places = [one.position_m for one in engine.cylinders]
     balanced = designs(engine, orders=(1,), planes_m=(min(places), max(places)))[-1].on(engine)
@@ -196,7 +193,7 @@ def test_a_shaft_against_a_couple_that_is_late_leaves_the_chord_of_its_couple(la
 
 
 @pytest.mark.slow
-def test_a_series_without_errors_leaves_what_the_engine_leaves() -> None:
+def test_a_series_without_errors_leaves_what_the_engine_leaves():
     engine = load_engine("v8-cross")
     balanced = designs(engine, orders=(1,), planes_m=(-0.2, 0.2))[-1].on(engine)
     table = series_residuals(balanced, BalanceTolerances(samples=100), max_order=4)
@@ -206,7 +203,7 @@ def test_a_series_without_errors_leaves_what_the_engine_leaves() -> None:
 
 
 @pytest.mark.slow
-def test_pairs_as_single_shafts_make_the_same_force() -> None:
+def test_pairs_as_single_shafts_make_the_same_force():
     engine = load_engine("msu-optical-second")
     single = with_single_shafts(engine, 4)
     apart = crankcase_forces(engine, RPM, max_order=4) - crankcase_forces(single, RPM, max_order=4)
@@ -214,7 +211,7 @@ def test_pairs_as_single_shafts_make_the_same_force() -> None:
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_numbers() -> None:
+def test_the_same_seed_gives_the_same_numbers():
     engine = Engine(crank_radius_m=0.04, rod_length_m=0.14, reciprocating_mass_kg=0.5)
     drawn = [series_residuals(engine, BalanceTolerances(pin_deg=1.0, seed=seed), max_order=2) for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1] != drawn[2]
@@ -231,13 +228,13 @@ MASSES = reduced_masses(SUBJECT)
 FIRST = MASSES.crank_radius_mm * MASSES.reciprocating_g
 
 
-def errors(**sizes: Any) -> GearTolerances:
+def errors(**sizes):
     """Tolerances with only the named errors."""
     perfect = {"mesh_deg": 0.0, "position_mm": 0.0, "weight_fraction": 0.0, "samples": 20_000, "seed": 7}
     return GearTolerances.model_validate(perfect | sizes)
 
 
-def test_the_transverse_sum_is_zero_at_every_angle() -> None:
+def test_the_transverse_sum_is_zero_at_every_angle():
     angles = np.random.default_rng(3).uniform(-50, 50, 20_000)
     kinds: tuple[Any, ...] = ("exact", "leading")
     for second in kinds:
@@ -249,7 +246,7 @@ def test_the_transverse_sum_is_zero_at_every_angle() -> None:
 
 
 @pytest.mark.slow
-def test_wheels_that_straddle_the_cylinder_make_no_couple_and_others_do() -> None:
+def test_wheels_that_straddle_the_cylinder_make_no_couple_and_others_do():
     couples = wheels_couple(weighted_wheels(TRAIN, MASSES))
     assert {order: abs(couple) for order, couple in couples.items()} == {1: 0, 2: 0}
     leaning = TRAIN.model_copy(
@@ -259,13 +256,13 @@ def test_wheels_that_straddle_the_cylinder_make_no_couple_and_others_do() -> Non
     assert abs(wheels_couple(weighted_wheels(leaning, MASSES))[1]) == pytest.approx(2 * FIRST, rel=1e-14)
 
 
-def mistimed(wheels: dict[str, Shaft], mesh_errors_deg: dict[str, float]) -> dict[str, Shaft]:
+def mistimed(wheels, mesh_errors_deg):
     """The wheels as they stand with errors in the meshes."""
     wrong_deg = gear_errors_deg(TRAIN, mesh_errors_deg)
     return {name: replace(wheel, phase_deg=wheel.phase_deg + wrong_deg[name]) for name, wheel in wheels.items()}
 
 
-def test_analytic_a_couple_is_place_times_force_at_every_angle() -> None:
+def test_analytic_a_couple_is_place_times_force_at_every_angle():
     wheels = weighted_wheels(TRAIN, MASSES)
     moved = mistimed(wheels, {"E": 1.5, "B": -0.7, "G": 3.0})
     angle = 2 * np.pi * HALF_DEGREES
@@ -278,12 +275,12 @@ def test_analytic_a_couple_is_place_times_force_at_every_angle() -> None:
 
 
 @pytest.mark.slow
-def test_errors_travel_through_the_train_by_its_ratios() -> None:
+def test_errors_travel_through_the_train_by_its_ratios():
     found = gear_errors_deg(TRAIN, {"B": 1.0, "G": 0.25})
     assert found == {"A": 0.0, "B": 1.0, "D": 1.0, "E": -1.0, "H": -2.0, "G": 2.25}
 
 
-def test_analytic_a_wheel_off_by_an_angle_leaves_twice_its_force_times_the_sine_of_half() -> None:
+def test_analytic_a_wheel_off_by_an_angle_leaves_twice_its_force_times_the_sine_of_half():
     wheels = weighted_wheels(TRAIN, MASSES)
     for tooth_deg in (360 / 20, 360 / 40, 0.3):
         wrong = mistimed({name: wheels[name] for name in "DE"}, {"E": tooth_deg})
@@ -292,7 +289,7 @@ def test_analytic_a_wheel_off_by_an_angle_leaves_twice_its_force_times_the_sine_
 
 
 @pytest.mark.slow
-def test_analytic_the_tolerance_study_has_the_variance_of_its_errors() -> None:
+def test_analytic_the_tolerance_study_has_the_variance_of_its_errors():
     sigma = np.radians(0.2)
     study = tolerance_study(TRAIN, MASSES, errors(mesh_deg=0.2))
     # E stands wrong by −e_B + e_E against D by e_B, so the wheels' axis of symmetry leans by e_E / 2 alone
@@ -310,7 +307,7 @@ def test_analytic_the_tolerance_study_has_the_variance_of_its_errors() -> None:
 
 
 @pytest.mark.slow
-def test_wheels_that_do_not_go_in_pairs_are_refused() -> None:
+def test_wheels_that_do_not_go_in_pairs_are_refused():
     lame = TRAIN.model_copy(update={"gears": tuple(gear for gear in TRAIN.gears if gear.name != "G")})
     with pytest.raises(RequestError, match="pairs"):
         weighted_wheels(lame, MASSES)
@@ -332,6 +329,6 @@ def test_wheels_that_do_not_go_in_pairs_are_refused() -> None:
         [Gear(name="A", teeth=10), Gear(name="B", teeth=10, driven_by="A", fixed_to="A")],
     ],
 )
-def test_a_train_that_motion_does_not_reach_is_refused(gears: list[Gear]) -> None:
+def test_a_train_that_motion_does_not_reach_is_refused(gears):
     with pytest.raises(ValidationError, match="gear"):
         GearTrain(gears=tuple(gears))

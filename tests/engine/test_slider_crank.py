@@ -1,7 +1,6 @@
 """The kinematics against 60-digit arithmetic and the derivatives of its own motion."""
 
 from decimal import Decimal, getcontext, localcontext
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ SHAPES = st.builds(
 )
 
 
-def decimal_sine_cosine(angle: Decimal) -> tuple[Decimal, Decimal]:
+def decimal_sine_cosine(angle):
     sums, term = [Decimal(0), Decimal(0)], Decimal(1)
     for k in range(1, 120):
         sums[(k - 1) % 2] += term * (-1) ** ((k - 1) // 2)
@@ -43,7 +42,7 @@ def decimal_sine_cosine(angle: Decimal) -> tuple[Decimal, Decimal]:
     return sums[1], sums[0]
 
 
-def decimal_acceleration(revolutions: float, mechanism: SliderCrank) -> Decimal:
+def decimal_acceleration(revolutions, mechanism):
     sine, cosine = decimal_sine_cosine(2 * PI * Decimal(revolutions))
     radius, rod, offset = (Decimal(x) for x in (mechanism.crank_radius_m, mechanism.rod_length_m, mechanism.offset_m))
     across, slope = radius * sine - offset, radius * cosine
@@ -54,7 +53,7 @@ def decimal_acceleration(revolutions: float, mechanism: SliderCrank) -> Decimal:
 @pytest.mark.parametrize(
     ("slack", "offset"), [(0.7, 0.0), (0.7, 0.07), (1e-2, 0.0), (1e-6, 0.0), (0.7, -0.2), (1e-9, 0.0), (1e-12, 0.0)]
 )
-def test_the_acceleration_keeps_its_digits_with_offset_and_however_short_the_rod(slack: float, offset: float) -> None:
+def test_the_acceleration_keeps_its_digits_with_offset_and_however_short_the_rod(slack, offset):
     mechanism = SliderCrank(crank_radius_m=1 - slack, rod_length_m=1.0, offset_m=offset)
     kappa = np.sqrt(slack * (2 - slack))
     angles = np.concatenate([np.linspace(-1, 2, 61), 0.25 + kappa * np.linspace(-1, 1, 21), [0.75 + 3 * kappa / 7]])
@@ -62,7 +61,7 @@ def test_the_acceleration_keeps_its_digits_with_offset_and_however_short_the_rod
     assert np.abs(piston_acceleration(angles, mechanism) - exact).max() <= 1e-15 * np.abs(exact).max()
 
 
-def decimal_motion(revolutions: float, mechanism: SliderCrank) -> dict[str, Decimal]:
+def decimal_motion(revolutions, mechanism):
     """Drop, velocity, sine of the rod angle and its derivatives, straight from the definitions."""
     sine, cosine = decimal_sine_cosine(2 * PI * Decimal(revolutions))
     radius, rod, offset = (Decimal(x) for x in (mechanism.crank_radius_m, mechanism.rod_length_m, mechanism.offset_m))
@@ -79,9 +78,7 @@ def decimal_motion(revolutions: float, mechanism: SliderCrank) -> dict[str, Deci
 
 @pytest.mark.parametrize("slack", [0.7, 1e-2, 1e-6, 1e-12])
 @pytest.mark.parametrize("share", [0.0, 0.5, -0.5])
-def test_position_velocity_and_rod_angle_keep_their_own_digits_however_short_the_rod(
-    slack: float, share: float
-) -> None:
+def test_position_velocity_and_rod_angle_keep_their_own_digits_however_short_the_rod(slack, share):
     mechanism = SliderCrank(crank_radius_m=1 - slack, rod_length_m=1.0, offset_m=share * slack)
     angles = np.concatenate([np.arange(1, 8) / 8, np.linspace(0, 1, 38)[1:-1], 0.25 + 1e-3 * np.linspace(-1, 1, 9)])
     exact = [decimal_motion(float(angle), mechanism) for angle in angles]
@@ -100,7 +97,7 @@ def test_position_velocity_and_rod_angle_keep_their_own_digits_however_short_the
 
 
 @given(SHAPES)
-def test_the_piston_turns_at_its_dead_centres_a_stroke_apart(mechanism: SliderCrank) -> None:
+def test_the_piston_turns_at_its_dead_centres_a_stroke_apart(mechanism):
     turns = dead_centres(mechanism)
     there = np.array([turns.top_rev, turns.bottom_rev])
     assert np.abs(piston_velocity(there, mechanism)).max() < 1e-14 / mechanism.slack
@@ -112,12 +109,12 @@ def test_the_piston_turns_at_its_dead_centres_a_stroke_apart(mechanism: SliderCr
     assert turns.stroke_m >= 2 * mechanism.crank_radius_m * (1 - 1e-15)
 
 
-def test_a_whole_turn_changes_nothing() -> None:
+def test_a_whole_turn_changes_nothing():
     angles = np.arange(256) / 256
     assert np.array_equal(piston_acceleration(angles + 1000, THESIS), piston_acceleration(angles, THESIS))
 
 
-def test_a_crank_that_cannot_turn_is_refused() -> None:
+def test_a_crank_that_cannot_turn_is_refused():
     impossible = [(0.1, 0.1, 0.0), (0.1, 0.15, 0.06), (-0.1, 0.3, 0.0), (float("nan"), 0.3, 0.0), (0.0, 0.3, 0.0)]
     for radius, rod, offset in impossible:
         with pytest.raises(RequestError, match="rod longer than radius and offset"):
@@ -131,12 +128,12 @@ LENGTH_M, MASS_KG = 0.152, 1.6738
 SCALE_CENTRE_M = 0.4114 / MASS_KG * LENGTH_M
 
 
-def engine(**rod: float) -> Engine:
+def engine(**rod):
     data = {"crank_radius_m": 0.0449, "rod_length_m": LENGTH_M, "reciprocating_mass_kg": 4.304}
     return Engine.model_validate({**data, "rod": {"mass_kg": MASS_KG, "centre_from_big_end_m": SCALE_CENTRE_M, **rod}})
 
 
-def test_the_couple_has_the_sine_harmonics_of_the_truth_sheet(shared_truth: dict[str, Any]) -> None:
+def test_the_couple_has_the_sine_harmonics_of_the_truth_sheet(shared_truth):
     model = engine(inertia_kg_m2=0.0032226229333333334)
     missing = two_masses(model).missing_inertia_kg_m2
     omega_squared = (2000 * np.pi / 30) ** 2
@@ -151,7 +148,7 @@ def test_the_couple_has_the_sine_harmonics_of_the_truth_sheet(shared_truth: dict
 RATIOS = ["0.1", "0.25", "44.9/152", "15001.4/49822.3", "0.5", "0.9", "0.99", "0.999"]
 
 
-def test_every_even_harmonic_has_thirteen_digits(shared_truth: dict[str, Any]) -> None:
+def test_every_even_harmonic_has_thirteen_digits(shared_truth):
     for ratio in RATIOS:
         known = shared_truth["seed000"]["harmonics"][ratio]
         exact = np.array([float(value) for value in known["A"].values()])
@@ -159,7 +156,7 @@ def test_every_even_harmonic_has_thirteen_digits(shared_truth: dict[str, Any]) -
         assert np.abs(even_harmonics(exact.size, float(known["lambda"])) / exact - 1).max() <= 1e-13, ratio
 
 
-def test_the_orders_that_a_tolerance_needs_are_those_of_the_truth_sheet(shared_truth: dict[str, Any]) -> None:
+def test_the_orders_that_a_tolerance_needs_are_those_of_the_truth_sheet(shared_truth):
     for ratio in RATIOS:
         known = shared_truth["seed000"]["harmonics"][ratio]
         mechanism = SliderCrank(crank_radius_m=float(known["lambda"]), rod_length_m=1.0)
@@ -167,7 +164,7 @@ def test_the_orders_that_a_tolerance_needs_are_those_of_the_truth_sheet(shared_t
         assert {key: orders_for(float(key), mechanism) for key in wanted} == wanted, ratio
 
 
-def decimal_harmonic(order: int, ratio: float) -> float:
+def decimal_harmonic(order, ratio):
     """A_order in 60 digits: the closed form of the truth sheet, its hypergeometric series summed term by term."""
     with localcontext() as context:
         context.prec = 60
@@ -188,7 +185,7 @@ def decimal_harmonic(order: int, ratio: float) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1e-3, 0.3, 0.9, 0.99, 0.999, 0.9997, 0.9999, 1 - 1e-6])
-def test_harmonics_have_twelve_digits_up_to_order_2000_however_short_the_rod(ratio: float) -> None:
+def test_harmonics_have_twelve_digits_up_to_order_2000_however_short_the_rod(ratio):
     every = {order: decimal_harmonic(order, ratio) for order in (2, 4, 10, 40, 180, 300, 344, 360, 600, 800, 2000)}
     orders = [order for order, size in every.items() if size > 1e-290]  # smaller ones have no double with all digits
     known = np.array([every[order] for order in orders])
@@ -200,14 +197,14 @@ def test_harmonics_have_twelve_digits_up_to_order_2000_however_short_the_rod(rat
 @pytest.mark.slow
 @pytest.mark.parametrize("offset", [1e-14, 1e-300])
 @pytest.mark.parametrize("ratio", [0.1, 0.3, 0.9, 0.99])
-def test_the_fourier_sums_beside_the_crank_angle_give_the_closed_form(ratio: float, offset: float) -> None:
+def test_the_fourier_sums_beside_the_crank_angle_give_the_closed_form(ratio, offset):
     # with a vanishing offset the even orders come from Fourier sums, yet must be those of the hypergeometric form
     nearly = acceleration_harmonics(SliderCrank(crank_radius_m=ratio, rod_length_m=1.0, offset_m=offset), 200)
     plain = acceleration_harmonics(SliderCrank(crank_radius_m=ratio, rod_length_m=1.0), 200)
     assert np.abs(nearly[2::2] / plain[2::2] - 1).max() < 3e-13
 
 
-def test_the_peak_is_at_dead_centre_or_at_ninety_degrees(shared_truth: dict[str, Any]) -> None:
+def test_the_peak_is_at_dead_centre_or_at_ninety_degrees(shared_truth):
     for ratio in RATIOS:
         known = shared_truth["seed000"]["harmonics"][ratio]
         mechanism = SliderCrank(crank_radius_m=float(known["lambda"]), rod_length_m=1.0)
@@ -217,9 +214,7 @@ def test_the_peak_is_at_dead_centre_or_at_ninety_degrees(shared_truth: dict[str,
 @pytest.mark.parametrize(
     ("case", "radius_m", "rod_m"), [("r=44.9,l=152", 44.9, 152.0), ("r=47.3", 47.3, 47.3 * 49822.3 / 15001.4)]
 )
-def test_offset_harmonics_have_twelve_digits_each(
-    shared_truth: dict[str, Any], case: str, radius_m: float, rod_m: float
-) -> None:
+def test_offset_harmonics_have_twelve_digits_each(shared_truth, case, radius_m, rod_m):
     known = next(value for key, value in shared_truth["seed001"]["offset_10mm"].items() if key.startswith(case))
     harmonics = acceleration_harmonics(SliderCrank(crank_radius_m=radius_m, rod_length_m=rod_m, offset_m=10.0), 12)
     for order in range(1, 13):
@@ -234,7 +229,7 @@ def test_offset_harmonics_have_twelve_digits_each(
 
 
 @given(st.floats(0.05, 0.8), st.floats(-0.7, 0.7))
-def test_the_rods_harmonics_add_up_to_its_exact_acceleration(ratio: float, share: float) -> None:
+def test_the_rods_harmonics_add_up_to_its_exact_acceleration(ratio, share):
     mechanism = SliderCrank(crank_radius_m=ratio, rod_length_m=1.0, offset_m=share * (1 - ratio))
     angles = np.arange(64) / 64
     _, _, second = rod_angle(angles, mechanism)
@@ -245,7 +240,7 @@ def test_the_rods_harmonics_add_up_to_its_exact_acceleration(ratio: float, share
 
 @pytest.mark.parametrize("offset_m", [0.0, 1e-9, 0.01, -0.04])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-12])
-def test_a_sum_of_the_orders_for_a_tolerance_meets_it(offset_m: float, tolerance: float) -> None:
+def test_a_sum_of_the_orders_for_a_tolerance_meets_it(offset_m, tolerance):
     mechanism = SliderCrank(crank_radius_m=0.0449, rod_length_m=0.152, offset_m=offset_m)
     angles = np.linspace(0, 1, 721)
     exact = piston_acceleration(angles, mechanism) / mechanism.crank_radius_m
@@ -255,7 +250,7 @@ def test_a_sum_of_the_orders_for_a_tolerance_meets_it(offset_m: float, tolerance
     assert np.abs(summed - exact).max() < tolerance * np.abs(exact).max()
 
 
-def test_what_cannot_be_asked_is_refused() -> None:
+def test_what_cannot_be_asked_is_refused():
     mechanism = SliderCrank(crank_radius_m=0.3, rod_length_m=1.0)
     for ask in (
         lambda: even_harmonics(3, 1.0),

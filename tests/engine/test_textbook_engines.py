@@ -1,7 +1,6 @@
 """Engines of the textbooks: forces against the truth sheet and sums that share no code, and shafts that cancel them."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,11 +19,11 @@ EXACT = 1e-12
 Throw = tuple[float, float, float]  # angle of the pin, angle of the bank, place along the crankshaft
 
 
-def row(*cranks: float) -> list[Throw]:
+def row(*cranks):
     return [(angle, 0.0, 0.1 * (n - (len(cranks) - 1) / 2)) for n, angle in enumerate(cranks)]
 
 
-def vee(half_deg: float, *pins: float, split_deg: float = 0.0, stagger_m: float = 0.0) -> list[Throw]:
+def vee(half_deg, *pins, split_deg=0.0, stagger_m=0.0):
     """Banks at ± ``half_deg``; the pins of a throw ``split_deg`` apart, its rods ``stagger_m`` apart."""
     made = []
     for n, pin in enumerate(pins):
@@ -34,7 +33,7 @@ def vee(half_deg: float, *pins: float, split_deg: float = 0.0, stagger_m: float 
     return made
 
 
-def boxer(*pins: float) -> list[Throw]:
+def boxer(*pins):
     """Opposed pistons on pins half a turn apart, so that both go out together."""
     return [
         (pin if side < 0 else pin + 180, 90.0 * side, 0.12 * (n - (len(pins) - 1) / 2) + 0.02 * side)
@@ -78,7 +77,7 @@ ENGINES: dict[str, tuple[list[Throw], tuple[bool, ...]]] = {
 }
 
 
-def engine(throws: list[Throw], **differences: Any) -> Engine:
+def engine(throws, **differences):
     cylinders = [
         {"crank_deg": float(crank), "bank_deg": float(bank), "position_m": place} for crank, bank, place in throws
     ]
@@ -86,13 +85,13 @@ def engine(throws: list[Throw], **differences: Any) -> Engine:
     return Engine.model_validate({**lengths, "cylinders": cylinders, **differences})
 
 
-def summed(model: Engine) -> tuple[np.ndarray, np.ndarray]:
+def summed(model):
     """Force and first moment along the crankshaft by (direction, order), from positions differentiated by hand."""
     phi = 2 * np.pi * np.arange(512) / 512
     force, moment = np.zeros((2, 3, phi.size))
     for cylinder in model.cylinders:
 
-        def own(key: str, cylinder: Any = cylinder) -> float:
+        def own(key, cylinder=cylinder):
             value = getattr(cylinder, key)
             return float(getattr(model, key) if value is None else value)
 
@@ -134,11 +133,11 @@ def summed(model: Engine) -> tuple[np.ndarray, np.ndarray]:
     return by_order[0], by_order[1]
 
 
-def scale(model: Engine) -> float:
+def scale(model):
     return len(model.cylinders) * MASS_KG * RADIUS_M
 
 
-def off_by(model: Engine) -> float:
+def off_by(model):
     """Largest difference from the independent sum, over the size of what is summed."""
     force, moment = summed(model)
     ours = crankcase_forces(model, RPM, max_order=ORDERS)
@@ -147,7 +146,7 @@ def off_by(model: Engine) -> float:
     return max(float(np.abs(one[..., 1:]).max()) for one in apart) / scale(model)
 
 
-def test_forces_and_couples_are_those_of_an_independent_sum() -> None:
+def test_forces_and_couples_are_those_of_an_independent_sum():
     off = {name: off_by(engine(throws)) for name, (throws, _) in ENGINES.items()}
     assert not {name: error for name, error in off.items() if not error < EXACT}
 
@@ -156,7 +155,7 @@ SHIPPED = {"inline-2": (0, 180), "inline-3": (0, 120, 240), "inline-4": (0, 180,
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_shipped_example_has_the_pins_of_its_textbook_and_the_forces_of_the_sum(name: str) -> None:
+def test_a_shipped_example_has_the_pins_of_its_textbook_and_the_forces_of_the_sum(name):
     example = load_engine(name)
     assert tuple(cylinder.crank_deg for cylinder in example.cylinders) == SHIPPED[name]
     assert off_by(example) < EXACT
@@ -164,7 +163,7 @@ def test_a_shipped_example_has_the_pins_of_its_textbook_and_the_forces_of_the_su
         assert np.abs(crankcase_forces(example, RPM, max_order=1)[:, 1]).max() < 1e-7 * scale(example)
 
 
-def test_what_cancels_to_round_off_is_no_order_that_the_engine_makes() -> None:
+def test_what_cancels_to_round_off_is_no_order_that_the_engine_makes():
     in_one_plane = engine([(angle, 0.0, 0.0) for angle in (0.0, 120.0, 240.0)])
     assert orders_made(in_one_plane, share=1e-3, max_order=5) == ()
     assert orders_made(in_one_plane, share=1e-3, max_order=6) == (6.0,)
@@ -174,11 +173,11 @@ def test_what_cancels_to_round_off_is_no_order_that_the_engine_makes() -> None:
 OPTICAL = {"crank_radius_m": 0.0449, "rod_length_m": 0.152, "reciprocating_mass_kg": 4.304}
 
 
-def optical(**differences: Any) -> Engine:
+def optical(**differences):
     return Engine.model_validate({**OPTICAL, **differences})
 
 
-def test_the_spacer_forces_are_those_of_the_truth_sheet_at_all_speeds(shared_truth: dict[str, Any]) -> None:
+def test_the_spacer_forces_are_those_of_the_truth_sheet_at_all_speeds(shared_truth):
     table = shared_truth["seed001"]["spacer_116g"]["r=44.9,l=152"]
     shafts = {"orders": [1, 2], "unbalanced_mass_kg": 0.116}
     forces = np.abs(crankcase_forces(optical(shafts=shafts), [row["rpm"] for row in table], max_order=4)[:, Z])
@@ -187,7 +186,7 @@ def test_the_spacer_forces_are_those_of_the_truth_sheet_at_all_speeds(shared_tru
     assert forces[:, 2] == pytest.approx([row["F2_exact_N"] for row in table], rel=1e-12)
 
 
-def test_shafts_timed_to_the_crank_leave_the_quadrature_of_the_offset(shared_truth: dict[str, Any]) -> None:
+def test_shafts_timed_to_the_crank_leave_the_quadrature_of_the_offset(shared_truth):
     known = shared_truth["seed001"]["offset_quadrature_first_order"]["r=44.9,l=152"]["N_2000rpm_of_193249.6"]
     shafts = {"orders": [1, 2], "unbalanced_mass_kg": 0.0, "timed_to": "crank"}
     timed = crankcase_forces(optical(offset_m=0.01, shafts=shafts), 2000, max_order=2)[Z]
@@ -196,7 +195,7 @@ def test_shafts_timed_to_the_crank_leave_the_quadrature_of_the_offset(shared_tru
     assert np.abs(to_force[1:]).max() == 0
 
 
-def test_the_inertia_of_the_rod_makes_a_moment_and_no_force() -> None:
+def test_the_inertia_of_the_rod_makes_a_moment_and_no_force():
     rod = {"mass_kg": 1.6738, "centre_from_big_end_m": 0.03736}
     plain, true = (optical(rod=rod | inertia) for inertia in ({}, {"inertia_kg_m2": 0.0032}))
     assert np.array_equal(crankcase_forces(plain, 2000, max_order=9), crankcase_forces(true, 2000, max_order=9))
@@ -204,7 +203,7 @@ def test_the_inertia_of_the_rod_makes_a_moment_and_no_force() -> None:
     assert missed[Y, 1] > 10
 
 
-def test_what_textbooks_call_free_is_free_and_nothing_else() -> None:
+def test_what_textbooks_call_free_is_free_and_nothing_else():
     otherwise = {}
     for name, (throws, free) in ENGINES.items():
         model = engine(throws)
@@ -217,7 +216,7 @@ def test_what_textbooks_call_free_is_free_and_nothing_else() -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed: int) -> None:
+def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed):
     draw = np.random.default_rng(seed)
     cylinders = [
         {
@@ -232,7 +231,7 @@ def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed: int)
         for _ in range(draw.integers(1, 9))
     ]
 
-    def weights(n: int) -> list[dict[str, float]]:
+    def weights(n):
         return [
             {
                 "unbalance_g_mm": float(draw.uniform(0, 3e4)),
@@ -247,7 +246,7 @@ def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed: int)
 
 
 @pytest.mark.parametrize("name", ENGINES)
-def test_a_design_cancels_force_and_couple_of_orders_1_and_2(name: str) -> None:
+def test_a_design_cancels_force_and_couple_of_orders_1_and_2(name):
     model = engine(ENGINES[name][0], rotating_unbalance_kg_m=0.004, rotating_unbalance_deg=15.0)
     places = [cylinder.position_m for cylinder in model.cylinders]
     planes = (min(places), max(places))
@@ -266,7 +265,7 @@ def test_a_design_cancels_force_and_couple_of_orders_1_and_2(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 6])
-def test_a_design_takes_any_order_asked_for(order: int) -> None:
+def test_a_design_takes_any_order_asked_for(order):
     model = engine(ENGINES["v-twin, 60°"][0], offset_m=0.012)
     planes = (-0.05, 0.08)
     made = designs(model, orders=(order,), planes_m=planes)
@@ -294,7 +293,7 @@ def test_a_design_takes_any_order_asked_for(order: int) -> None:
         ("radial-7", 1.0, None),
     ],
 )
-def test_crank_webs_take_the_share_that_turns_with_the_crank(name: str, force: Any, couple: Any) -> None:
+def test_crank_webs_take_the_share_that_turns_with_the_crank(name, force, couple):
     shares = primary_shares(engine(ENGINES[name][0]))
     for found, known in ((shares.force, force), (shares.couple, couple)):
         assert found is None if known is None else found == pytest.approx(known, abs=1e-12)
@@ -302,7 +301,7 @@ def test_crank_webs_take_the_share_that_turns_with_the_crank(name: str, force: A
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v8, 90°, cross", "v-twin, 90°", "radial-5"])
-def test_counterweights_of_half_the_pistons_balance_what_turns_with_the_crank(name: str) -> None:
+def test_counterweights_of_half_the_pistons_balance_what_turns_with_the_crank(name):
     model = engine(ENGINES[name][0], rotating_unbalance_kg_m=0.003)
     weights = throw_counterweights(model)
     size = 1e6 * (0.5 * MASS_KG * RADIUS_M + 0.003)
@@ -313,7 +312,7 @@ def test_counterweights_of_half_the_pistons_balance_what_turns_with_the_crank(na
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["inline-4, flat", "inline-2, 180°", "inline-1"])
-def test_shafts_at_different_heights_take_the_second_order_roll_moment_too(name: str) -> None:
+def test_shafts_at_different_heights_take_the_second_order_roll_moment_too(name):
     model = engine(ENGINES[name][0])
     height = roll_height_m(model)
     assert height is not None
@@ -327,5 +326,5 @@ def test_shafts_at_different_heights_take_the_second_order_roll_moment_too(name:
     assert after < EXACT * scale(model) < before
 
 
-def sheet(model: Engine, **options: Any) -> dict[str, Any]:
+def sheet(model, **options):
     return balance_sheet(BalancedEngine(name="it", engine=model, balance=BalanceData()), **options).as_dict()

@@ -16,7 +16,7 @@ from crankorder.synth.motion import Motion
 GAS = GasCurve(crank_angle_deg=(0.0, 20.0, 90.0, 180.0, 540.0, 700.0), torque_n_m=(0.0, 300.0, 90.0, 0.0, 0.0, -70.0))
 
 
-def _engine(*cylinders: Cylinder, gas: bool = True) -> Engine:
+def _engine(*cylinders, gas=True):
     lengths = {"crank_radius_m": 0.045, "rod_length_m": 0.15, "reciprocating_mass_kg": 1.2}
     return Engine(**lengths, gas=GAS if gas else None, cylinders=cylinders or (Cylinder(),))
 
@@ -24,7 +24,7 @@ def _engine(*cylinders: Cylinder, gas: bool = True) -> Engine:
 TWIN = (Cylinder(crank_deg=0.0, firing_deg=0.0), Cylinder(crank_deg=180.0, position_m=0.1, firing_deg=180.0))
 
 
-def _torque(engine: Engine, angle: np.ndarray, omega: float, highest: int, with_gas: bool) -> np.ndarray:
+def _torque(engine, angle, omega, highest, with_gas):
     """Torque (N·m) of masses and gas less its mean on the crank at each angle, cylinder by cylinder."""
     masses = inertia_torque_by_order(engine, highest)
     total = np.zeros_like(angle)
@@ -40,9 +40,7 @@ def _torque(engine: Engine, angle: np.ndarray, omega: float, highest: int, with_
 @pytest.mark.parametrize("cylinders", [(Cylinder(firing_deg=0.0),), TWIN])
 @pytest.mark.parametrize("with_gas", [True, False])
 @pytest.mark.parametrize(("inertia", "rpm"), [(0.05, 900.0), (0.5, 1600.0), (0.5, 900.0)])
-def test_flywheel_times_acceleration_is_the_torque(
-    cylinders: tuple[Cylinder, ...], with_gas: bool, inertia: float, rpm: float
-) -> None:
+def test_flywheel_times_acceleration_is_the_torque(cylinders, with_gas, inertia, rpm):
     engine = _engine(*cylinders)
     lag = lag_from_torque(engine, flywheel_inertia_kg_m2=inertia, speed_rpm=rpm, highest_order=12, with_gas=with_gas)
     motion = Motion(start_rev=0.13, corners=((0.0, rpm),), lag=lag)
@@ -55,20 +53,20 @@ def test_flywheel_times_acceleration_is_the_torque(
 
 
 @pytest.mark.slow
-def test_half_orders_come_with_gas_only() -> None:
+def test_half_orders_come_with_gas_only():
     kinds = {"speed_rpm": 900.0, "flywheel_inertia_kg_m2": 0.5, "highest_order": 8}
     assert lag_from_torque(_engine(), with_gas=False, **kinds).step == 1.0
     assert lag_from_torque(_engine(), with_gas=True, **kinds).step == 0.5
 
 
-def test_a_flywheel_too_small_is_refused() -> None:
+def test_a_flywheel_too_small_is_refused():
     for with_gas in (True, False):
         small = {"flywheel_inertia_kg_m2": 1e-4, "speed_rpm": 900.0, "highest_order": 10, "with_gas": with_gas}
         with pytest.raises(RequestError, match="stop within the cycle"):
             lag_from_torque(_engine(), **small)
 
 
-def test_gas_of_an_engine_without_any_is_refused() -> None:
+def test_gas_of_an_engine_without_any_is_refused():
     with pytest.raises(RequestError, match="no gas"):
         lag_from_torque(
             _engine(gas=False), flywheel_inertia_kg_m2=1.0, speed_rpm=900.0, highest_order=10, with_gas=True
@@ -77,14 +75,14 @@ def test_gas_of_an_engine_without_any_is_refused() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("orders", [(-1.0, 2.0), (2.0, 1.0), (1.0, 1.0), (1.0, 2.0, 3.0)])
-def test_a_lag_whose_orders_do_not_ascend_from_zero_is_refused(orders: tuple[float, ...]) -> None:
+def test_a_lag_whose_orders_do_not_ascend_from_zero_is_refused(orders):
     with pytest.raises(RequestError, match="lag"):
         Lag(order=np.array(orders), inertia=np.zeros(2, dtype=complex), gas=np.zeros(2, dtype=complex))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("orders", [(0.5, 2.0, 3.0), (0.5, 2.0, 1.5 + 2**0.5)])
-def test_the_slowest_speed_is_where_the_lag_falls_as_fast_as_the_angle_grows(orders: tuple[float, ...]) -> None:
+def test_the_slowest_speed_is_where_the_lag_falls_as_fast_as_the_angle_grows(orders):
     order = np.array(orders)
     lag = Lag(order=order, inertia=0.01j / order, gas=0.03 / order * np.exp(1j * order), reference_rpm=700.0)
     angle = np.linspace(0, 64, 1_000_001)
@@ -96,7 +94,7 @@ def test_the_slowest_speed_is_where_the_lag_falls_as_fast_as_the_angle_grows(ord
 
 @pytest.mark.slow
 @pytest.mark.parametrize("inertia", [0.0, -1.0])
-def test_a_flywheel_turns_with_some_inertia_or_is_not_stated(inertia: float) -> None:
+def test_a_flywheel_turns_with_some_inertia_or_is_not_stated(inertia):
     stated = _engine().model_dump() | {"flywheel_inertia_kg_m2": inertia}
     with pytest.raises(ValidationError, match="greater than 0"):
         Engine.model_validate(stated)

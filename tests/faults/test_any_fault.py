@@ -18,7 +18,7 @@ DONE, REQUEST, SOME_LEFT_OUT, NONE_LEFT = 0, 2, 3, 4
 NAMES = st.text(st.characters(blacklist_categories=("Cs", "Cc"), blacklist_characters="/"), min_size=1, max_size=30)
 
 
-def hashes(folder: Path) -> dict[str, str]:
+def hashes(folder):
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))
@@ -27,36 +27,36 @@ def hashes(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scene(tmp_path_factory):
     folder: Path = tmp_path_factory.mktemp("scene") / "test"
     assert crankorder("synth", "hard-two-revolutions", "--out", folder, "--quick", "-q").exit_code == 0
     return folder
 
 
-def truncated(path: Path, at: float) -> None:
+def truncated(path, at):
     """A recording that lacks its end: never as good as whole."""
     data = path.read_bytes()
     path.write_bytes(data[: int(at * (len(data) - 1))])
 
 
-def overwritten(path: Path, at: float) -> None:
+def overwritten(path, at):
     """A page of zeros over the head of the file."""
     data = path.read_bytes()
     path.write_bytes(bytes(8 + int(at * 500)) + data[8 + int(at * 500) :])
 
 
-def other_content(path: Path, at: float) -> None:
+def other_content(path, at):
     contents = [b"<!DOCTYPE html><title>404</title>", b"speed,level\n1,2\n", b"PK\x03\x04", b"\x00" * 4096]
     path.write_bytes(contents[int(at * 3.999)])
 
 
-def lost_channel(path: Path, at: float) -> None:
+def lost_channel(path, at):
     with h5py.File(path, "r+") as file:
         names = sorted(name for name in file if name.startswith("acc"))
         del file[names[int(at * (len(names) - 1e-9))]]
 
 
-def short_channel(path: Path, at: float) -> None:
+def short_channel(path, at):
     with h5py.File(path, "r+") as file:
         names = sorted(name for name in file if name.startswith("acc"))
         name = names[int(at * (len(names) - 1e-9))]
@@ -73,7 +73,7 @@ FAULTS: dict[str, Callable[[Path, float], None]] = {
 SETTINGS = [(), ("--strict",), ("--fresh",), ("--jobs", "2"), ("--log-json",)]
 
 
-def check_one(scene: Path, place: Path, name: str, fault: str, at: float, more: tuple[str, ...], whole: int) -> None:
+def check_one(scene, place, name, fault, at, more, whole):
     """One recording with that ``fault`` and name, beside so many that are ``whole``."""
     folder, out = place / "data", place / "out"
     shutil.copytree(scene, folder)
@@ -106,14 +106,14 @@ def check_one(scene: Path, place: Path, name: str, fault: str, at: float, more: 
 
 @pytest.mark.parametrize("examples", [4, pytest.param(100, marks=pytest.mark.slow)])
 def test_whatever_is_wrong_with_one_recording_its_file_is_named_and_nothing_else_suffers(
-    scene: Path, tmp_path_factory: pytest.TempPathFactory, examples: int
-) -> None:
+    scene, tmp_path_factory, examples
+):
     @settings(max_examples=examples, phases=[Phase.explicit, Phase.generate])
     @given(
         name=NAMES, fault=st.sampled_from(sorted(FAULTS)), at=st.floats(0.0, 1.0), more=st.sampled_from(SETTINGS),
         whole=st.integers(0, 2),
     )  # fmt: skip
-    def check(**case: object) -> None:
+    def check(**case):
         check_one(scene, tmp_path_factory.mktemp("case"), **case)  # type: ignore[arg-type]
 
     check()
@@ -121,9 +121,7 @@ def test_whatever_is_wrong_with_one_recording_its_file_is_named_and_nothing_else
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(where=st.floats(0.0, 1.0), junk=st.binary(min_size=1, max_size=8))
-def test_a_manifest_with_any_bytes_in_it_is_used_or_refused_with_its_name(
-    scene: Path, tmp_path_factory: pytest.TempPathFactory, where: float, junk: bytes
-) -> None:
+def test_a_manifest_with_any_bytes_in_it_is_used_or_refused_with_its_name(scene, tmp_path_factory, where, junk):
     folder = tmp_path_factory.mktemp("manifest") / "data"
     shutil.copytree(scene, folder)
     text = (folder / "run.toml").read_bytes()

@@ -10,7 +10,7 @@ LINE = re.compile(r"\| ([A-I][0-9]+) \| (.*) \|")
 LISTED = {found[1]: found[2] for found in map(LINE.fullmatch, (HERE / "README.md").read_text().splitlines()) if found}
 
 
-def test_every_test_that_stands_for_a_fault_is_there() -> None:
+def test_every_test_that_stands_for_a_fault_is_there():
     texts = {path: path.read_text(encoding="utf-8") for path in HERE.parent.rglob("*.py")}
     missing = []
     for entry, cell in LISTED.items():
@@ -22,7 +22,7 @@ def test_every_test_that_stands_for_a_fault_is_there() -> None:
     assert LISTED and missing == []
 
 
-def test_no_entry_of_the_catalogue_is_left_out(project_root: Path) -> None:
+def test_no_entry_of_the_catalogue_is_left_out(project_root):
     catalogue = project_root.parent / "shared" / "faults.md"
     if not catalogue.exists():
         pytest.skip("../shared/faults.md is absent: it lies beside the project, never inside")

@@ -32,7 +32,7 @@ TIMES = 10.0
 """How often the processor time of a short refusal a request may take: 2 s where that is 0.2 s, on any machine."""
 
 
-def crankorder(*arguments: object, **given: object) -> tuple[subprocess.CompletedProcess[bytes], float]:
+def crankorder(*arguments, **given):
     """The command as it ended, and the processor seconds that it took."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = [sys.executable, "-m", "crankorder", *map(str, arguments)]
@@ -41,7 +41,7 @@ def crankorder(*arguments: object, **given: object) -> tuple[subprocess.Complete
     return made, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def folder_of(place: Path, manifest: str) -> Path:
+def folder_of(place, manifest):
     place.mkdir()
     (place / "run.toml").write_text(manifest, encoding="utf-8")
     (place / "a.h5").write_bytes(b"")
@@ -64,16 +64,14 @@ MANIFESTS: dict[str, Callable[[], str]] = {
 
 
 @pytest.fixture(scope="module")
-def short_s(tmp_path_factory: pytest.TempPathFactory) -> float:
+def short_s(tmp_path_factory):
     """Processor seconds in which a manifest of a few lines is refused."""
     folder = folder_of(tmp_path_factory.mktemp("short") / "data", HEAD.format(name="a"))
     return min(crankorder("check", folder)[1] for _ in range(3))
 
 
 @pytest.mark.parametrize("what", MANIFESTS)
-def test_i8_i9_an_endless_manifest_is_refused_in_ten_times_a_short_one_at_most(
-    what: str, short_s: float, tmp_path: Path
-) -> None:
+def test_i8_i9_an_endless_manifest_is_refused_in_ten_times_a_short_one_at_most(what, short_s, tmp_path):
     made, seconds = crankorder("check", folder_of(tmp_path / "data", MANIFESTS[what]()))
     said = made.stderr.decode()
     assert made.returncode in (2, 3, 4), said[-500:]
@@ -82,14 +80,14 @@ def test_i8_i9_an_endless_manifest_is_refused_in_ten_times_a_short_one_at_most(
     assert len(said) < 100_000
 
 
-def test_i8_a_recipe_of_900_characters_is_no_recipe(tmp_path: Path) -> None:
+def test_i8_a_recipe_of_900_characters_is_no_recipe(tmp_path):
     folder = folder_of(tmp_path / "data", HEAD.format(name="a") + CHANNEL.format("a"))
     made, _ = crankorder("run", folder, "--out", tmp_path / "out", "--recipe", "r" * 900)
     assert made.returncode == 2 and b"Traceback" not in made.stderr
     assert not (tmp_path / "out").exists()
 
 
-def test_i8_a_link_that_leads_to_itself_is_told(tmp_path: Path) -> None:
+def test_i8_a_link_that_leads_to_itself_is_told(tmp_path):
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     for arguments in (("check", tmp_path / "loop"), ("run", tmp_path / "loop", "--out", tmp_path / "out")):
         made, _ = crankorder(*arguments)
@@ -97,13 +95,13 @@ def test_i8_a_link_that_leads_to_itself_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-def test_i8_a_full_standard_output_is_exit_5() -> None:
+def test_i8_a_full_standard_output_is_exit_5():
     with Path("/dev/full").open("wb") as full:
         made, _ = crankorder("balance", "msu-optical-second", "--json", stdout=full, stderr=subprocess.PIPE)
     assert made.returncode == 5 and b"Traceback" not in made.stderr
 
 
-def test_i8_a_closed_stderr_and_no_home_change_nothing(tmp_path: Path) -> None:
+def test_i8_a_closed_stderr_and_no_home_change_nothing(tmp_path):
     folder = folder_of(tmp_path / "data", "x = ")
     whole, _ = crankorder("check", folder)
     line = f'exec "{sys.executable}" -m crankorder check "{folder}" 2>&-'
@@ -112,7 +110,7 @@ def test_i8_a_closed_stderr_and_no_home_change_nothing(tmp_path: Path) -> None:
     assert (made.returncode, made.stdout) == (whole.returncode, whole.stdout) == (2, b"")
 
 
-def test_i7_kernels_are_kept_only_where_nobody_else_can_write(tmp_path: Path) -> None:
+def test_i7_kernels_are_kept_only_where_nobody_else_can_write(tmp_path):
     """A folder of the expected name that others may write is passed over."""
     guess = tmp_path / f"crankorder-kernels-{os.getuid()}"
     guess.mkdir(mode=0o777)
@@ -133,7 +131,7 @@ def test_i7_kernels_are_kept_only_where_nobody_else_can_write(tmp_path: Path) ->
     assert Path(made.stdout.decode().rsplit(maxsplit=1)[0]) == guess
 
 
-def test_i10_a_name_cannot_write_on_the_terminal(tmp_path: Path) -> None:
+def test_i10_a_name_cannot_write_on_the_terminal(tmp_path):
     name = "a\\u001b[31m\\u0007\\u202eb"
     folder = folder_of(tmp_path / "data", HEAD.format(name=name) + CHANNEL.format("a"))
     made, _ = crankorder("run", folder, "--out", tmp_path / "out", "--dry-run")
@@ -142,12 +140,12 @@ def test_i10_a_name_cannot_write_on_the_terminal(tmp_path: Path) -> None:
     assert b"\x1b" not in said and b"\x07" not in said and "\u202e".encode() not in said and b"[31m" in said
 
 
-def logged_in(out: Path, event: str) -> int:
+def logged_in(out, event):
     return sum(path.read_text().count(f" {event}:") for path in out.glob(".crankorder-logs/*"))
 
 
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def campaign(tmp_path_factory):
     data: Path = tmp_path_factory.mktemp("campaign") / "data"
     assert crankorder("synth", "thesis-second-motoring", "--quick", "--out", data, "-q")[0].returncode == 0
     return data
@@ -157,8 +155,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_f2_a_run_that_is_told_to_end_begins_nothing_more_and_goes_on_later(
-    number: signal.Signals, status: int, campaign: Path, short_s: float, tmp_path: Path
-) -> None:
+    number, status, campaign, short_s, tmp_path
+):
     """The 5 s of the catalogue are processor time here: what is left to do does not depend on the machine."""
     out = tmp_path / "out"
     command = ("run", campaign, "--out", out, "--recipe", "maps", "-q", "--jobs", "1")

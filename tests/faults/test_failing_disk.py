@@ -7,7 +7,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 from made.command import crankorder, results_in
 
@@ -19,7 +18,7 @@ QUICK = (("rename", errno.EIO), ("replace", errno.ENOSPC))
 DONE, ENVIRONMENT = 0, 5
 
 
-def run(folder: Path, out: Path, max_order: int) -> Result:
+def run(folder, out, max_order):
     recipe = folder.with_name("recipe.toml")
     results = '[report]\nresults = ["order_map"]\npictures = false\n'
     recipe.write_text(f'title = "a map"\n[orders]\nmax_order = {max_order}\n{results}', encoding="utf-8")
@@ -27,14 +26,14 @@ def run(folder: Path, out: Path, max_order: int) -> Result:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     place: Path = tmp_path_factory.mktemp("scene") / "test"
     assert crankorder("synth", "hard-two-revolutions", "--out", place, "--quick", "-q").exit_code == DONE
     return place
 
 
 @pytest.fixture(scope="module")
-def both(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes], dict[str, bytes]]:
+def both(folder, tmp_path_factory):
     """A folder of old results beside which frames of new ones are kept, the old results, the new ones."""
     old, new = (tmp_path_factory.mktemp("results") / name for name in ("old", "new"))
     assert run(folder, old, 12).exit_code == DONE
@@ -53,13 +52,13 @@ def both(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     ],
 )
 def test_f3_i4_whichever_call_of_a_whole_run_fails_the_old_results_are_whole_or_the_new_ones(
-    folder: Path,
-    both: tuple[Path, dict[str, bytes], dict[str, bytes]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    call: str,
-    fault: int,
-) -> None:
+    folder,
+    both,
+    tmp_path,
+    monkeypatch,
+    call,
+    fault,
+):
     """Each time one more call goes well, until all do; only calls that change the disk are counted."""
     place, old, new = both
     assert old != new

@@ -30,23 +30,23 @@ KILLS = 17
 ROUNDS = 50
 
 
-def arguments(*folders: Path, out: Path, jobs: int = JOBS) -> list[str]:
+def arguments(*folders, out, jobs=JOBS):
     program = ["-m", "crankorder", "run", *map(str, folders)]
     return [*program, "--recipe", "maps", "-q", "--log-json", "--jobs", str(jobs), "--out", str(out)]
 
 
-def run(*folders: Path, out: Path, jobs: int = JOBS) -> None:
+def run(*folders, out, jobs=JOBS):
     subprocess.run([sys.executable, *arguments(*folders, out=out, jobs=jobs)], check=True)
 
 
-def events(out: Path) -> list[dict[str, object]]:
+def events(out):
     """Whole lines of the log of the last run."""
     lines = sorted((out / LOGS).iterdir())[-1].read_bytes().splitlines(keepends=True)
     return [json.loads(line) for line in lines if line.endswith(b"\n")]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A test of a few recordings of two revolutions, which differ in their noise."""
     place: Path = tmp_path_factory.mktemp("scene") / "test"
     made = [sys.executable, "-m", "crankorder", "synth", "hard-two-revolutions", "--quick", "-q", "--out", str(place)]
@@ -63,7 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
+def undisturbed(folder, tmp_path_factory):
     """Results of a run that nobody disturbed, and the seconds that one took."""
     out = tmp_path_factory.mktemp("undisturbed")
     run(folder, out=out / "warm")
@@ -72,7 +72,7 @@ def undisturbed(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple
     return out / "whole", time.monotonic() - begun
 
 
-def kill(process: subprocess.Popen[bytes], which: str, at_s: float) -> bool:
+def kill(process, which, at_s):
     """Kill one process of the run at that moment, or as soon as there is one; False where the run ended before."""
     time.sleep(at_s)
     while process.poll() is None:
@@ -88,8 +88,8 @@ def kill(process: subprocess.Popen[bytes], which: str, at_s: float) -> bool:
 @pytest.mark.parametrize("which", ["main", "reporting", "recording"])
 @pytest.mark.parametrize("number", range(KILLS))
 def test_f1_i6_whichever_process_is_killed_the_next_run_ends_with_the_same_bytes(
-    folder: Path, undisturbed: tuple[Path, float], tmp_path: Path, which: str, number: int
-) -> None:
+    folder, undisturbed, tmp_path, which, number
+):
     whole, seconds = undisturbed
     random = np.random.default_rng([number, len(which)])
     out = tmp_path / "out"
@@ -113,9 +113,7 @@ def test_f1_i6_whichever_process_is_killed_the_next_run_ends_with_the_same_bytes
 
 
 @pytest.mark.parametrize("processes", [2, 4])
-def test_i5_processes_that_share_a_folder_of_results_lose_nothing_in_fifty_rounds(
-    folder: Path, tmp_path: Path, processes: int
-) -> None:
+def test_i5_processes_that_share_a_folder_of_results_lose_nothing_in_fifty_rounds(folder, tmp_path, processes):
     """Each analyses two tests, in an order of its own: no false failure, every index entry, the bytes of one alone."""
     two = [tmp_path / "data" / name for name in ("a", "b")]
     for place in two:

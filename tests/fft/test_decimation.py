@@ -21,7 +21,7 @@ FACTOR = decimation_factor(RATE_HZ, BAND_HZ)
 ASKED = {"rate_hz": RATE_HZ, "band_hz": BAND_HZ, "factor": FACTOR}
 
 
-def tone(frequency_hz: float, n_samples: int = 100_000, rate_hz: float = RATE_HZ) -> np.ndarray:
+def tone(frequency_hz, n_samples=100_000, rate_hz=RATE_HZ):
     return np.cos(2 * np.pi * frequency_hz * np.arange(n_samples) / rate_hz + 0.3)
 
 
@@ -119,7 +119,7 @@ def test_a_record_shorter_than_the_filter_gives_no_sample():
 BAND_RATE_HZ = 20_000.0
 
 
-def recording(dtype: type = np.float64) -> xr.Dataset:
+def recording(dtype=np.float64):
     signals = [line(3.0, 1.0), line(1.0, 0.1)]
     made = steady(signals, speed_rpm=1200.0, duration_s=4.0, rate_hz=BAND_RATE_HZ)[0]
     made["signal"] = made["signal"].astype(dtype) + dtype(7.0)

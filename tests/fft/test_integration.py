@@ -11,7 +11,7 @@ RATE_HZ = 4096.0
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("seed", range(5))
-def test_lines_are_integrated_in_size_and_phase(times: int, seed: int) -> None:
+def test_lines_are_integrated_in_size_and_phase(times, seed):
     rng = np.random.default_rng(seed)
     at = np.arange(int(30 * RATE_HZ)) / RATE_HZ
     hertz, phase = rng.uniform(5.0, 1500.0, 4), rng.uniform(0, 2 * np.pi, 4)
@@ -28,7 +28,7 @@ def test_lines_are_integrated_in_size_and_phase(times: int, seed: int) -> None:
     assert np.isnan(made[: int(0.5 * RATE_HZ)]).all()
 
 
-def test_missing_samples_stay_missing_and_blocks_have_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_samples_stay_missing_and_blocks_have_no_seam(monkeypatch):
     from crankorder.fft import integration
 
     values = np.random.default_rng(1).standard_normal(200_000).astype(np.float32)

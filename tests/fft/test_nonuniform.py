@@ -27,7 +27,7 @@ def plain_sums(signals, weights, turns, orders):
     return weighted @ np.cos(angle).T - 1j * (weighted @ np.sin(angle).T)
 
 
-def frame(n: int = 3000):
+def frame(n=3000):
     """Uneven turns over a little more than one frame, and its Hann weights."""
     at = np.arange(n)
     mean = 1.05 / n

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -35,14 +34,14 @@ assert library_versions()["pyfftw"] == "not used"
 
 
 @pytest.fixture(params=["fftw", "scipy"])
-def library(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def library(request, monkeypatch):
     if request.param == "fftw":
         pytest.importorskip("pyfftw", reason="pyfftw is not installed here")
     monkeypatch.setenv(VARIABLE, request.param)
     yield request.param
 
 
-def test_a_spectrum_is_the_sum_that_defines_it(library: str) -> None:
+def test_a_spectrum_is_the_sum_that_defines_it(library):
     matrix = np.exp(-2j * np.pi * (np.outer(np.arange(60), np.arange(31)) % 60) / 60)
     for kind, error in ((np.float32, 2e-7), (np.float64, 1e-15)):
         plan = forward((3, 60), kind)
@@ -54,7 +53,7 @@ def test_a_spectrum_is_the_sum_that_defines_it(library: str) -> None:
         assert plan.output_array.dtype == (np.complex64 if kind is np.float32 else np.complex128)
 
 
-def test_an_inverse_is_a_plain_sum(library: str) -> None:
+def test_an_inverse_is_a_plain_sum(library):
     plan = inverse((2, 48), np.complex64)
     plan.input_array[...] = 0.0
     plan.input_array[1, 5] = 1.0
@@ -63,14 +62,14 @@ def test_an_inverse_is_a_plain_sum(library: str) -> None:
 
 
 @pytest.mark.parametrize("how", ["absent", pytest.param("not wanted", marks=pytest.mark.slow)])
-def test_without_fftw_nothing_of_it_is_loaded(how: str) -> None:
+def test_without_fftw_nothing_of_it_is_loaded(how):
     environment = {"PATH": "/usr/bin:/bin", "HOME": "/tmp"} | ({} if how == "absent" else {VARIABLE: "scipy"})
     command = [sys.executable, "-c", _WITHOUT_FFTW, how]
     ended = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr[-2000:]
 
 
-def test_a_library_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_is_none_is_refused(monkeypatch):
     monkeypatch.setenv(VARIABLE, "mkl")
     with pytest.raises(RequestError, match=r"CRANKORDER_FFT.*mkl.*fftw, scipy"):
         fft_library()

@@ -6,22 +6,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.errors import RequestError
-from crankorder.fft.resampling import LENGTHS, Kernel, cheapest_kernel, kernel_named, margin, shifted, values_at
+from crankorder.fft.resampling import LENGTHS, cheapest_kernel, kernel_named, margin, shifted, values_at
 
 SHORT_KERNELS = ("sinc-8", "sinc-10", "sinc-16", "sinc-48", "kaiser-48")
 N_SAMPLES = 700
 
 
-def tones(frequency: float, at: np.ndarray, dtype: str = "f8") -> np.ndarray:
+def tones(frequency, at, dtype="f8"):
     angle = 2.0 * np.pi * frequency * at + 0.7
     return np.stack([np.cos(angle), np.sin(angle)]).astype(dtype)
 
 
-def places(n_samples: int, edge: int, count: int = 3000, seed: int = 5) -> np.ndarray:
+def places(n_samples, edge, count=3000, seed=5):
     return np.random.default_rng(seed).uniform(edge, n_samples - 1 - edge, count)
 
 
-def noise(channels: int, seed: int = 6) -> np.ndarray:
+def noise(channels, seed=6):
     return np.random.default_rng(seed).standard_normal((channels, N_SAMPLES))
 
 
@@ -174,7 +174,7 @@ POSITION_ROUNDING = 1e-12
 """A position near 500 is rounded to 6e-14, which turns a tone at 0.4 of the rate by 1.5e-13."""
 
 
-def measured_error(kernel: Kernel, content: float) -> float:
+def measured_error(kernel, content):
     """Worst error of unit tones up to ``content`` at random places."""
     samples, worst = np.arange(2.0 * kernel.margin + 200.0), 0.0
     generator = np.random.default_rng(11)

@@ -129,7 +129,7 @@ def test_threads_get_the_same_bytes_as_one():
     signals = np.random.default_rng(3).standard_normal((3, 5000))
     starts = frame_starts(5000, 256, 100)
 
-    def spectra(_: int) -> bytes:
+    def spectra(_):
         return FrameTransform(hann(256)).spectra(signals, starts).tobytes()
 
     with ThreadPoolExecutor(4) as pool:

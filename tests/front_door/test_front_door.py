@@ -14,6 +14,7 @@ import xarray as xr
 import crankorder as co
 from crankorder import front_door
 from crankorder.errors import CrankorderError, InputError, ManyErrors, RequestError
+from crankorder.settings import load_settings
 
 RATE_HZ, SPEED_RPM = 8192.0, 1470.0
 TIME = np.arange(int(6.0 * RATE_HZ)) / RATE_HZ
@@ -300,9 +301,12 @@ def test_only_recordings_have_maps():
             co.order_map(made_of(line(1.0, 1.0)), **options)
 
 
-def test_tracks_by_least_squares_are_refused_for_vold_kalman():
-    with pytest.raises(ManyErrors, match=r'orders\.track_method: there are no .* set "vold_kalman"'):
-        co.order_tracks(made_of(line(1.0, 1.0)), orders=[2.0], method="least_squares")
+def test_a_second_estimate_of_tracks_is_refused_and_its_settings_with_it():
+    for method in ("least_squares", "vold_kalman"):
+        with pytest.raises(ManyErrors, match=rf'orders\.track_method: no such .* set "auto".* found {method}'):
+            co.order_tracks(made_of(line(1.0, 1.0)), orders=[2.0], method=method)
+    with pytest.raises(ManyErrors, match=r"orders\.track_bandwidth: no setting any more\. Remove it"):
+        load_settings(asked={"orders": {"track_bandwidth": 0.2}})
 
 
 def test_recordings_of_one_name_stay_apart():

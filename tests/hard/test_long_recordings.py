@@ -6,39 +6,38 @@ import resource
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from crankorder.batch.plan import plan_tests
+from crankorder.checks.doubts import Doubts
 from crankorder.fft.decimation import band_limited
 from crankorder.identify.machine_model import MachineModel
 from crankorder.ingest.recording import read_recording
 from crankorder.scratch import is_on_disk
-from crankorder.stages import CampaignResult, analyse_recording, analyse_test
+from crankorder.stages import analyse_recording, analyse_test
 from made.long_recordings import AMPLITUDES, write_long
 
 RECORDS = {"in chunks": {"chunks": (30_011,)}, "contiguous": {}, "a wheel of 360": {"pulses_per_rev": 360}}
 
 
 @pytest.fixture(scope="module", params=RECORDS)
-def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recorded(request, tmp_path_factory):
     return write_long(tmp_path_factory.mktemp("long") / "data", 24.0, **RECORDS[request.param])
 
 
-def analysed(folder: Path, recipe: str | None, max_memory_mb: int) -> CampaignResult:
+def analysed(folder, recipe, max_memory_mb):
     plan = plan_tests([folder], folder.parent / "out", recipe=recipe, max_memory_mb=max_memory_mb).tests[0]
     made = analyse_recording(plan.recordings[0], plan.manifest, plan.settings)
-    return analyse_test([made], test="long", sources=MachineModel(revs_per_cycle=2), settings=plan.settings)
+    return analyse_test([made], Doubts(), test="long", sources=MachineModel(revs_per_cycle=2), settings=plan.settings)
 
 
 @pytest.mark.slow
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("recipe", [None, "maps-full-band"])
-def test_blocks_on_disk_give_what_memory_gives(recorded: Path, recipe: str | None) -> None:
+def test_blocks_on_disk_give_what_memory_gives(recorded, recipe):
     whole, blocks = analysed(recorded, recipe, 8000), analysed(recorded, recipe, 0)
     assert whole.datasets.keys() == blocks.datasets.keys()
     for name, expected in whole.datasets.items():
@@ -51,19 +50,19 @@ def test_blocks_on_disk_give_what_memory_gives(recorded: Path, recipe: str | Non
     assert whole.findings == blocks.findings
 
 
-def run(folder: Path, *options: str, before: Callable[[], None], **environment: str) -> subprocess.CompletedProcess:
+def run(folder, *options, before, **environment):
     command = [sys.executable, "-m", "crankorder", "run", str(folder), "--out", str(folder.parent / "out"), *options]
     surroundings = {**os.environ, "OPENBLAS_NUM_THREADS": "1", **environment}
     return subprocess.run(command, preexec_fn=before, env=surroundings, capture_output=True, text=True, check=False)
 
 
-def limited(which: int, n_bytes: int) -> Callable[[], None]:
+def limited(which, n_bytes):
     return lambda: resource.setrlimit(which, (n_bytes, n_bytes))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit on memory without a file is Linux's")
 @pytest.mark.slow
-def test_a_recording_three_times_larger_than_memory_is_analysed(tmp_path: Path) -> None:
+def test_a_recording_three_times_larger_than_memory_is_analysed(tmp_path):
     folder = write_long(tmp_path / "data", 900.0, rate_hz=100_000.0, pulses_per_rev=24)
     memory = 600_000_000
     assert (folder / "long.h5").stat().st_size >= 3 * memory
@@ -80,7 +79,7 @@ def test_a_recording_three_times_larger_than_memory_is_analysed(tmp_path: Path) 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit on files is that of a POSIX shell")
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path):
     folder, scratch = write_long(tmp_path / "data", 10.0), tmp_path / "scratch"
     scratch.mkdir()
     done = run(folder, "--max-memory", "0", before=limited(resource.RLIMIT_FSIZE, 4_000_000), TMPDIR=str(scratch))
@@ -92,7 +91,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "long" / "results.nc").exists()
 
 
-def peak_of_reading(folder: Path) -> int:
+def peak_of_reading(folder):
     """Bytes that reading a recording and limiting its band hold at most."""
     plan = plan_tests([folder], folder.parent / "out", max_memory_mb=0).tests[0]
     gc.collect()
@@ -110,7 +109,7 @@ def peak_of_reading(folder: Path) -> int:
 
 
 @pytest.mark.slow
-def test_reading_three_times_as_long_a_record_takes_no_more_memory(tmp_path: Path) -> None:
+def test_reading_three_times_as_long_a_record_takes_no_more_memory(tmp_path):
     peak_of_reading(write_long(tmp_path / "first" / "data", 3.0))  # filters are designed and kept
     short, long = (peak_of_reading(write_long(tmp_path / str(s) / "data", s)) for s in (48.0, 144.0))
     assert short < 10_000_000  # of 48 MB of samples

@@ -5,14 +5,14 @@ from dataclasses import replace
 import pytest
 from tests.made.floors import Made, campbell_of, inside, no_orders
 
-from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.found import AgreedOrder
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.settings import load_settings
 
 ONE = Made(natural_hz=(115.0,), damping=(0.016,), sensor=((0.008, 0.010),), drive=((0.5, -0.7),), rate_hz=640.0)
 
 
-def _fit(made: Made, orders: tuple[float, ...] = ()) -> ModalFit:
+def _fit(made, orders=()):
     campbell = campbell_of(made, 3)
     agreed = tuple(AgreedOrder(order, 1e-5, 30.0, "locked", None, ()) for order in orders)
     return modal_fit(campbell, no_orders(campbell), agreed, settings=load_settings().identify)
@@ -40,7 +40,7 @@ CASES = {
 
 @pytest.mark.cases(len(CASES))
 @pytest.mark.parametrize("case", CASES)
-def test_the_modes_that_were_put_in_are_found_and_tones_apart(case: str) -> None:
+def test_the_modes_that_were_put_in_are_found_and_tones_apart(case):
     changes, orders, tones_hz = CASES[case]
     made = replace(ONE, **changes)
     fit = _fit(made, orders)
@@ -49,7 +49,7 @@ def test_the_modes_that_were_put_in_are_found_and_tones_apart(case: str) -> None
 
 
 @pytest.mark.slow
-def test_a_mode_exactly_on_an_order_at_constant_speed_keeps_its_frequency() -> None:
+def test_a_mode_exactly_on_an_order_at_constant_speed_keeps_its_frequency():
     made = replace(ONE, speed_rpm=(1725.0,), duration_s=120.0, lines=((4.0, 2.0),))
     fit = _fit(made, (4.0,))
     assert len(fit.modes) == 1
@@ -58,7 +58,7 @@ def test_a_mode_exactly_on_an_order_at_constant_speed_keeps_its_frequency() -> N
 
 
 @pytest.mark.slow
-def test_a_mode_at_twice_the_frequency_of_another_is_a_mode_and_one_channel_is_enough() -> None:
+def test_a_mode_at_twice_the_frequency_of_another_is_a_mode_and_one_channel_is_enough():
     octave = {"natural_hz": (115.0, 230.0), "damping": (0.016, 0.014), "drive": ((0.5, -0.7), (0.6, 0.9))}
     for sensor in (((0.008, 0.010), (0.006, 0.012)), ((0.008,), (0.006,))):
         made = replace(ONE, sensor=sensor, **octave)

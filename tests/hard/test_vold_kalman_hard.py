@@ -2,22 +2,20 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from crankorder.orders.vold_kalman.filter import vold_kalman
-from crankorder.orders.vold_kalman.system import EnvelopeSystem
 
 RATE_HZ = 5000.0
 
 
-def lines(amplitude: NDArray[np.complex128], phase_rev: NDArray[np.float64]) -> NDArray[np.float64]:
+def lines(amplitude, phase_rev):
     """Sum of lines of constant ``amplitude`` (orders,) along ``phase_rev`` (orders, samples)."""
     turn = np.exp(2j * np.pi * (phase_rev - np.floor(phase_rev)))
     return np.real(amplitude[:, None] * turn).sum(axis=0)
 
 
 @pytest.mark.slow
-def test_two_shafts_within_half_a_percent_cross_and_stay_apart() -> None:
+def test_two_shafts_within_half_a_percent_cross_and_stay_apart():
     """Around the crossing the data do not tell the two apart, and the standard error says so: it allows for envelopes
     that change unseen meanwhile, while those of this test do not."""
     time_s = np.arange(200_000) / RATE_HZ
@@ -38,7 +36,7 @@ def test_two_shafts_within_half_a_percent_cross_and_stay_apart() -> None:
 
 
 @pytest.mark.slow
-def test_a_minute_of_ramps_at_10_krpm_per_second_is_followed() -> None:
+def test_a_minute_of_ramps_at_10_krpm_per_second_is_followed():
     rate_hz = 20_000.0
     time_s = np.arange(1_200_000) / rate_hz
     speed_hz = 5.0 + 10_000.0 / 60.0 * np.abs(time_s % 2.0 - 1.0)
@@ -49,30 +47,9 @@ def test_a_minute_of_ramps_at_10_krpm_per_second_is_followed() -> None:
 
 
 @pytest.mark.slow
-def test_ten_million_samples_pass_through_in_blocks() -> None:
-    rate_hz, n, block = 50_000.0, 10_000_000, 500_000
-    truth = np.array([2.0 - 1.0j])
-    system = EnvelopeSystem(n_samples=n, n_channels=1, bandwidth_hz=np.array([[0.5, 0.5]]), rate_hz=rate_hz, poles=2)
-
-    def part(begin: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        time_s = np.arange(begin, begin + block) / rate_hz
-        phase = (20.0 * time_s + 0.5 * time_s**2)[None]
-        return lines(truth, phase)[None], phase, np.ones(block, dtype=bool)
-
-    for begin in range(0, n, block):
-        system.add(*part(begin), begin=begin)
-    solution = system.solve()
-    for begin in range(0, n, block):
-        amplitude, residual = system.read(solution, *part(begin), begin=begin)
-        assert np.abs(amplitude - truth).max() < 1e-13
-        assert np.abs(residual).max() < 1e-12
-    assert system.gram.nbytes < 1e-2 * 8 * n
-
-
-@pytest.mark.slow
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("bandwidth_hz", [1.0, 20.0, 100.0])
-def test_a_constant_a_million_times_the_signal_does_not_leak(bandwidth_hz: float) -> None:
+def test_a_constant_a_million_times_the_signal_does_not_leak(bandwidth_hz):
     time_s = np.arange(30_000) / RATE_HZ
     phase, truth = (80.0 * time_s + 3.0 * time_s**2)[None], np.array([1.0 + 1.0j])
     tracks = vold_kalman([lines(truth, phase) + 1e6], phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
@@ -83,7 +60,7 @@ def test_a_constant_a_million_times_the_signal_does_not_leak(bandwidth_hz: float
 @pytest.mark.slow
 @pytest.mark.parametrize("bandwidth_hz", [1.0, 80.0])
 @pytest.mark.parametrize("size", [1e-300, 1e300])
-def test_amplitudes_of_1e_300_and_1e300_survive(size: float, bandwidth_hz: float) -> None:
+def test_amplitudes_of_1e_300_and_1e300_survive(size, bandwidth_hz):
     time_s = np.arange(20_000) / RATE_HZ
     phase, truth = (80.0 * time_s)[None], np.array([0.3 - 1.1j])
     signal = lines(truth, phase) + 0.1 * np.random.default_rng(2).normal(size=len(time_s))
@@ -95,7 +72,7 @@ def test_amplitudes_of_1e_300_and_1e300_survive(size: float, bandwidth_hz: float
 
 
 @pytest.mark.slow
-def test_a_silent_channel_stays_silent() -> None:
+def test_a_silent_channel_stays_silent():
     phase = 80.0 * np.arange(20_000) / RATE_HZ
     tracks = vold_kalman(np.zeros((1, 20_000)), [phase], rate_hz=RATE_HZ, bandwidth_hz=1.0)
     assert not tracks.amplitude.any() and not tracks.residual.any() and not tracks.error.any()
@@ -103,7 +80,7 @@ def test_a_silent_channel_stays_silent() -> None:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(("bandwidth_hz", "times"), [(1.0, 1.5), (80.0, 100.0)])
-def test_a_gap_is_bridged_and_its_standard_error_grows(bandwidth_hz: float, times: float) -> None:
+def test_a_gap_is_bridged_and_its_standard_error_grows(bandwidth_hz, times):
     time_s = np.arange(60_000) / RATE_HZ
     phase, truth = (80.0 * time_s + time_s**2)[None], np.array([1.0 + 1.0j])
     signal = np.stack([lines(truth, phase)] * 2) + 1e-3 * np.random.default_rng(3).normal(size=(2, len(time_s)))
@@ -124,7 +101,7 @@ def test_a_gap_is_bridged_and_its_standard_error_grows(bandwidth_hz: float, time
 
 
 @pytest.mark.slow
-def test_a_line_that_nobody_tracks_is_no_noise() -> None:
+def test_a_line_that_nobody_tracks_is_no_noise():
     time_s = np.arange(60_000) / RATE_HZ
     phase = (80.0 * time_s)[None]
     noise = 0.1 * np.random.default_rng(4).normal(size=(1, len(time_s)))

@@ -26,7 +26,7 @@ def readmes(project_root):
 
 def test_each_generated_page_and_schema_is_up_to_date(readmes):
     pages = readmes.pages()
-    assert len(pages) == 9
+    assert len(pages) == 10
     stale = [
         str(path) for path, text in pages.items() if not path.is_file() or path.read_text(encoding="utf-8") != text
     ]

@@ -3,8 +3,8 @@
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.causes.aliasing import alias_flags as flags_of_aliases
-from crankorder.identify.causes.aliasing import shown_aliases
+from crankorder.identify.lines.line_evidence import alias_flags as flags_of_aliases
+from crankorder.identify.lines.line_evidence import shown_aliases
 from crankorder.settings import load_settings
 from crankorder.shaft.aliasing import aliased_order
 from made.found_lines import line

@@ -7,8 +7,8 @@ import pytest
 
 from crankorder.engine.definition import BalanceShafts, GasCurve
 from crankorder.engine.machine_parts import AddedMass
-from crankorder.identify.balance.trial_mass import trial_mass
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
+from crankorder.identify.changes.mass_change import trial_mass
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, swept
 from made.typed import as_dicts
 
@@ -68,7 +68,7 @@ def test_shafts_that_are_too_heavy_leave_a_mass_below_zero():
     assert low <= -200 <= high < 0
 
 
-def test_a_sweep_tells_the_mass_though_the_response_lags_and_resonances_ring_with_noise():
+def test_a_sweep_tells_the_mass_by_what_its_orders_would_be_if_held():
     for seed, rpm in enumerate([(300.0, 2000.0), (2000.0, 300.0)], 1):
         item = made(seed)
         tracks = swept(item, np.random.default_rng(seed), residual_kg=0.116, rpm=rpm)
@@ -225,6 +225,24 @@ def test_a_mass_put_on_or_taken_from_the_rotor_tells_size_and_angle_of_the_resid
     assert record["angle_deg"] == pytest.approx(35, abs=6)
     assert record["source"] == "trial mass"
     assert len(record["influence"]) == 9
+
+
+def test_without_noise_sizes_angles_and_influence_are_exact():
+    before, trial = 800 * np.exp(1j * np.radians(35)), 1000 * np.exp(1j * np.radians(100))
+    maps = two_maps(5, (before, before + trial), noise=1e-7)
+    record = weighed(maps, mass_g=20.0, radius_mm=50.0, angle_deg=100.0)
+    for size, angle, true in (
+        ("residual_rotating_gmm", "angle_deg", before), ("residual_after_gmm", "angle_after_deg", before + trial)
+    ):  # fmt: skip
+        assert record[size] * np.exp(1j * np.radians(record[angle])) == pytest.approx(true, rel=1e-4)
+    first = record["influence"][0]
+    phasors = [
+        float(item["coherent_amplitude"][0, 0].sel(order=1.0))
+        * np.exp(1j * np.radians(float(item["phase"][0, 0].sel(order=1.0))))
+        for item in maps
+    ]
+    influence = first["response_per_unit"] * np.exp(1j * np.radians(first["phase_deg"]))
+    assert influence == pytest.approx((phasors[1] - phasors[0]) / trial, rel=1e-4)
 
 
 def test_a_mass_on_the_piston_tells_grams_along_the_cylinder():

@@ -6,7 +6,7 @@ import pytest
 from crankorder.engine.definition import Cylinder, Engine, GasCurve, load_engine
 from crankorder.engine.slider_crank import piston_velocity
 from crankorder.findings import OrderFinding
-from crankorder.identify.causes.cycle_forces import cycle_doubts, cycle_forces
+from crankorder.identify.machine_model import cycle_doubts, cycle_forces
 from made.typed import record_of
 
 FIRING = load_engine("msu-optical-second-firing")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crankorder.identify.modes.order_responses import with_best_law
+from crankorder.identify.modes.order_responses import Block, with_best_law
 from crankorder.identify.modes.responses import least_seen
 from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.identify.modes.sweep_poles import sweep_fits
@@ -88,7 +88,8 @@ def test_what_amplifies_an_order_of_no_account_is_nothing():
     """A bound is over the noise and over a small share of the largest amplitude of any order."""
     machine = drawn_machine(2, n_modes=(0, 0), n_orders=(2, 2), n_speeds=(40, 40), scatter=(0.0005,))
     loud, quiet = blocks_from(machine, 2)
-    quiet = replace(quiet, amplitude=1e-5 * quiet.amplitude, error=1e-5 * quiet.error)
+    amplitude, error = 1e-5 * quiet.rows.amplitude, 1e-5 * quiet.rows.error
+    quiet = Block.of(replace(quiet.rows, amplitude=amplitude, error=error))
     beside, alone = _bounds([loud, quiet])[1].amplification, _bounds([quiet])[0].amplification
     assert np.max(beside) == pytest.approx(1.0)
     assert np.all(beside <= alone) and np.max(alone) > 1.1

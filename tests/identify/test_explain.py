@@ -9,10 +9,10 @@ from scipy.io import loadmat
 
 from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.findings import BearingFinding
-from crankorder.identify.causes.aliasing import ShownAlias
-from crankorder.identify.causes.explain import Cause, Causes, MachineModel, explained, with_neighbours_named
+from crankorder.identify.causes.explain import Beside, Cause, Causes, MachineModel, explained, with_neighbours_named
 from crankorder.identify.causes.sidebands import race_cause, struck_races
 from crankorder.identify.found import Tone
+from crankorder.identify.lines.line_evidence import ShownAlias
 from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import StatedPart
 from crankorder.identify.modes.alike_speeds import without_doubles
@@ -33,8 +33,8 @@ JACK_SHAFT = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ba
 
 def causes(orders, sources, *, modal=None, bearings=(), quantity="acceleration", unit="m/s2", folds=()):
     measured = {"quantity": dict.fromkeys("ABC", quantity)}
-    measured["in_cylinder"] = "ABC" if is_cylinder_pressure(quantity, unit) else ""
-    given = {"sources": sources, "settings": SETTINGS, "folds": folds, **measured}
+    beside = Beside(in_cylinder="ABC" if is_cylinder_pressure(quantity, unit) else "", folds=folds)
+    given = {"sources": sources, "settings": SETTINGS, "beside": beside, **measured}
     return explained(tuple(orders), modal or fit(), list(bearings), **given)
 
 
@@ -201,8 +201,8 @@ def test_the_mesh_of_a_real_gearbox_is_told_by_its_sidebands_alone(channel, shar
 
 def test_each_channel_has_its_own_cause():
     order = agreed(1.0, line(1.0, channel="A", speed_rpm=[1500.0]), line(1.0, channel="B", speed_rpm=[1500.0]))
-    given = {"quantity": {"A": "acceleration", "B": "pressure"}, "in_cylinder": ["B"], "settings": SETTINGS}
-    found = explained((order,), fit(), [], sources=FOUR_STROKE, **given).orders
+    given = {"quantity": {"A": "acceleration", "B": "pressure"}, "settings": SETTINGS}
+    found = explained((order,), fit(), [], sources=FOUR_STROKE, beside=Beside(in_cylinder=["B"]), **given).orders
     assert {key: cause.text for key, cause in found.items()} == {("A", 1.0): LIKE_UNBALANCE, ("B", 1.0): "gas cycle"}
 
 

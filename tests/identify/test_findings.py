@@ -5,7 +5,7 @@ import pytest
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
-from crankorder.identify.findings import find
+from crankorder.identify.findings import Measured, find
 from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
@@ -44,7 +44,7 @@ def findings_of(signals_at, *, speeds=SPEEDS_RPM, duration_s=12.0, bearings=(), 
     made_map = order_map(orders, settings=SETTINGS.orders)
     campbell = campbell_map(frequencies, speed_bin_rpm=25.0)
     sources = MachineModel(revs_per_cycle=2, bearings=tuple(bearings), **given)
-    return find(made_map, campbell, orders, None, test="made", sources=sources, settings=SETTINGS)
+    return find(Measured(made_map, campbell, orders), test="made", sources=sources, settings=SETTINGS)
 
 
 def test_one_speed_and_one_channel_are_enough_to_name_orders():

@@ -1,10 +1,9 @@
-"""The change of unbalance behind a change of order 1: its factor, its law with speed and its grams."""
+"""The change of unbalance behind a change of order 1: its factor, and its law with speed."""
 
 import numpy as np
 import pytest
 
-from crankorder.engine.machine_parts import AddedMass
-from crankorder.identify.changes.mass_change import mass_record, size_interval, unbalance_change
+from crankorder.identify.changes.mass_change import size_interval, unbalance_change
 from crankorder.identify.changes.order_changes import Line, change
 
 SPEED_RPM = np.array([900.0, 1200.0, 1500.0, 1800.0, 2100.0])
@@ -33,11 +32,6 @@ def made(rng, *, natural_rpm=2400.0, error=0.6, after=BEFORE + ADDED, moved=1.0)
     return change(*lines, SPEED_RPM, SPEED_RPM, order=1.0)
 
 
-def weighed(change):
-    added = AddedMass(mass_g=abs(ADDED), radius_mm=40.0, angle_deg=np.degrees(np.angle(ADDED)))
-    return mass_record(change, unbalance_change(change), [added])
-
-
 def test_one_factor_fits_through_any_path_and_its_interval_covers():
     rng, n, inside, fits = np.random.default_rng(1), 600, 0, 0
     true = abs((BEFORE + ADDED) / BEFORE)
@@ -48,26 +42,6 @@ def test_one_factor_fits_through_any_path_and_its_interval_covers():
         fits += found.factor_fits > 0.05
     assert inside / n == pytest.approx(0.95, abs=0.025)
     assert fits / n == pytest.approx(0.95, abs=0.03)
-
-
-def test_grams_before_and_after_follow_from_the_mass_that_is_stated():
-    rng, n, inside = np.random.default_rng(2), 600, np.zeros(2)
-    for _ in range(n):
-        grams = weighed(made(rng))
-        ends = (grams.before_ci95, abs(BEFORE)), (grams.after_ci95, abs(BEFORE + ADDED))
-        inside += [low <= true <= high for (low, high), true in ends]
-    assert np.all(np.abs(inside / n - 0.95) < 0.04)
-    response = [per.response for per in grams.response_per_unit]
-    true = np.abs(path(SPEED_RPM, natural_rpm=2400.0))
-    np.testing.assert_allclose(response, true, atol=6 * 0.6 * 1.5 / abs(ADDED))
-
-
-def test_without_noise_grams_are_exact():
-    grams = weighed(made(np.random.default_rng(3), error=1e-9))
-    for size, angle, true in (
-        (grams.before, grams.before_angle_deg, BEFORE), (grams.after, grams.after_angle_deg, BEFORE + ADDED)
-    ):  # fmt: skip
-        assert size * np.exp(1j * np.radians(angle)) == pytest.approx(true, rel=1e-6)
 
 
 @pytest.mark.slow

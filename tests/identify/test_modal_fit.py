@@ -90,7 +90,7 @@ def test_orders_that_sweep_through_a_mode_tell_its_frequency_better_than_the_flo
     assert both.modes[0].reached_by == (4.0, 6.0)
     assert both.modes[0].frequency_error_hz < 0.7 * alone.modes[0].frequency_error_hz
     assert inside(both, THREE)
-    assert all(response.fits and response.exponent == 2.0 for response in both.responses)
+    assert all(response.fits and response.force.exponent == 2.0 for response in both.responses)
 
 
 def test_an_order_that_the_modes_do_not_explain_takes_no_part():

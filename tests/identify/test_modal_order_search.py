@@ -10,7 +10,7 @@ from crankorder.identify.found import AgreedOrder
 from crankorder.identify.modes import order_search
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_modes import mode_of
-from crankorder.identify.modes.order_responses import Block
+from crankorder.identify.modes.order_responses import Block, Rows
 from crankorder.identify.modes.order_search import poles_of_orders, settled
 from crankorder.identify.modes.order_terms import resonance
 from crankorder.identify.modes.surface_fit import NO_POLES
@@ -71,7 +71,7 @@ def _one_order(seed, shape, speed):
     each = random.normal(size=(3, 1)) + 1j * random.normal(size=(3, 1))
     noise = 0.003 * (random.normal(size=(3, len(speed))) + 1j * random.normal(size=(3, len(speed))))
     error = np.full(noise.shape, 0.003)
-    return [Block(2.0, ("X", "Y", "Z"), 2.0 * speed / 60.0, speed, each * shape + noise, error, 3000.0)]
+    return [Block.of(Rows(2.0, ("X", "Y", "Z"), 2.0 * speed / 60.0, speed, each * shape + noise, error))]
 
 
 @pytest.mark.cases(1)
@@ -93,7 +93,7 @@ def test_one_speed_at_which_a_force_differs_makes_no_decided_mode(factor, seed):
     row = int(random.integers(2, len(machine.speed_rpm) - 2))
     turned = factor * np.exp(2j * np.pi * random.random())
     for block in blocks:
-        block.amplitude[:, row] *= turned
+        block.rows.amplitude[:, row] *= turned
     assert not [item for item in _modes(blocks) if not item.undecided]
 
 
@@ -134,7 +134,7 @@ def _light_between(seed):
     amplitude = (shares[0] + shares[1] * h) * grown
     error = 0.005 * float(np.median(np.abs(amplitude)))
     amplitude = amplitude + error * (random.normal(size=amplitude.shape) + 1j * random.normal(size=amplitude.shape))
-    return Block(3.0, ("X", "Y"), hertz, speed, amplitude, np.full(amplitude.shape, error), 3000.0), f
+    return Block.of(Rows(3.0, ("X", "Y"), hertz, speed, amplitude, np.full(amplitude.shape, error))), f
 
 
 @pytest.mark.slow
@@ -154,13 +154,14 @@ def test_a_peak_of_a_row_or_two_is_no_proof_without_its_flanks(rows):
     """A mode whose peak alone is left over smooth flanks, as a force that differs there makes it, is not decided."""
     for seed in range(6):
         block, f = _light_between(seed)
+        seen = block.rows
         random = np.random.default_rng([seed, 11])
-        at = np.argsort(np.abs(block.frequency_hz - f))[:rows]
-        smooth = 0.5 + np.linspace(0.0, 1.0, block.amplitude.shape[1]) ** 2 + 0.0j
-        made = np.median(np.abs(block.amplitude), axis=1, keepdims=True) * smooth
-        made[:, at] *= block.amplitude[:, at] / np.median(np.abs(block.amplitude), axis=1, keepdims=True)
-        made += block.error * (random.normal(size=made.shape) + 1j * random.normal(size=made.shape))
-        found = _modes([replace(block, amplitude=made)])
+        at = np.argsort(np.abs(seen.frequency_hz - f))[:rows]
+        smooth = 0.5 + np.linspace(0.0, 1.0, seen.amplitude.shape[1]) ** 2 + 0.0j
+        made = np.median(np.abs(seen.amplitude), axis=1, keepdims=True) * smooth
+        made[:, at] *= seen.amplitude[:, at] / np.median(np.abs(seen.amplitude), axis=1, keepdims=True)
+        made += seen.error * (random.normal(size=made.shape) + 1j * random.normal(size=made.shape))
+        found = _modes([Block.of(replace(seen, amplitude=made))])
         assert not [item for item in found if not item.undecided], seed
 
 
@@ -173,8 +174,8 @@ def test_noise_in_place_of_an_order_has_no_mode():
     for seed in range(10):
         (block,) = blocks_from(_by_order_one((61.0,), (0.08,)), seed)
         random = np.random.default_rng(seed)
-        noise = random.normal(size=block.amplitude.shape) + 1j * random.normal(size=block.amplitude.shape)
-        assert _modes([replace(block, amplitude=noise, error=np.ones(noise.shape))]) == []
+        noise = random.normal(size=block.rows.amplitude.shape) + 1j * random.normal(size=block.rows.amplitude.shape)
+        assert _modes([Block.of(replace(block.rows, amplitude=noise, error=np.ones(noise.shape)))]) == []
 
 
 def test_a_search_that_stops_at_its_bound_says_so(monkeypatch):

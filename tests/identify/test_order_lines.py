@@ -10,6 +10,7 @@ from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.lines.followed_orders import track_number
 from crankorder.identify.lines.line_evidence import is_steady
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.modes.order_terms import Force
 from crankorder.identify.modes.responses import held_peak
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import track_order
@@ -210,8 +211,8 @@ def test_a_line_between_multiples_is_read_where_it_stands_however_little_is_know
 
 def _response(*, recording="r1", fits=True, error=0.01):
     made = made_response(2.0, fit(mode(60.0, 0.01)), smooth=0.0, residue=[1.0], channel="X")
-    covariance = np.diag([error**2, error**2]).astype(complex)
-    return replace(made, exponent=0.0, covariance=covariance, error=error, fits=fits, recording=recording)
+    covariance, force = np.diag([error**2, error**2]).astype(complex), Force(1800.0, (900.0, 3000.0), 0.0)
+    return replace(made, force=force, covariance=covariance, error=error, fits=fits, recording=recording)
 
 
 def _held(*responses, error=0.0, order=2.0, channel="X"):
@@ -228,7 +229,7 @@ def test_a_held_order_reaches_what_its_mode_amplifies():
 
 
 def test_no_response_beside_the_largest_amplitude_says_anything_of_held_speeds():
-    beside = replace(_response(recording="b", error=1e-9), span_rpm=(2500.0, 3000.0))
+    beside = replace(_response(recording="b", error=1e-9), force=Force(1800.0, (2500.0, 3000.0), 0.0))
     assert _held(_response(), beside) == _held()
     for silent in (beside, _response(recording=""), _response(fits=False)):
         assert _held(silent) is None

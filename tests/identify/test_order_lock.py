@@ -86,7 +86,7 @@ def _followed(order, revs, bandwidth_hz):
     rows, one = ("channel", "order", "frame"), np.ones((1, 1, len(time)))
     frames = {name: ("frame", of) for name, of in (("time", time), ("speed", speed), ("crank_angle", angle))}
     return xr.Dataset(
-        {"amplitude": (rows, one.astype(complex)), "standard_error": (rows, NOISE * one)},
+        {"held_amplitude": (rows, one.astype(complex)), "standard_error": (rows, NOISE * one)},
         {"channel": ["X"], "order": [order], **frames, "bandwidth_hz": (rows[1:], bandwidth_hz * one[0])},
         {"recording": "r1", "swept": 1, "poles": 2, "phase_reference": "index"},
     )
@@ -98,7 +98,7 @@ def _scene(rng, slip, *, revs=800.0, bandwidth_hz=BANDWIDTH_HZ):
     agreed = AgreedOrder(order, 0.01, 1e6, "undecided", 30.0, ())
     item = _followed(order, revs, bandwidth_hz)
     (block,) = blocks_of(ORDER_MAP, (agreed,), [item])
-    rows = np.flatnonzero(np.isin(item["speed"].values, block.speed_rpm))
+    rows = np.flatnonzero(np.isin(item["speed"].values, block.rows.speed_rpm))
     hz = order * np.array([rng.uniform(1000, 1600), rng.uniform(1800, 2800)]) / 60.0
     damping = np.exp(rng.uniform(np.log(0.005), np.log(0.05), 2))
     smooth, residue = np.array([1.0 + 0.0j]), 0.3 * (rng.normal(size=2) + 1j * rng.normal(size=2))
@@ -106,14 +106,14 @@ def _scene(rng, slip, *, revs=800.0, bandwidth_hz=BANDWIDTH_HZ):
     turned = np.exp(1j * rng.normal() * 0.1 * np.linspace(-1.0, 1.0, len(value)))
     run_away = np.exp(2j * np.pi * slip * order * item["crank_angle"].values[rows])
     noise = NOISE * (rng.standard_normal(len(value)) + 1j * rng.standard_normal(len(value)))
-    item["amplitude"].values[0, 0, rows] = value * turned * run_away + noise
+    item["held_amplitude"].values[0, 0, rows] = value * turned * run_away + noise
     modes = tuple(
         Mode(float(f), 1e-4 * float(f), float(z), 0.01 * float(z), ("X",), 20.0, "")
         for f, z in zip(hz, damping, strict=True)
     )
     covariance = 1e-4 * np.eye(3, dtype=complex)
     response = OrderResponse(
-        order, "X", block.exponent, (), block.reference_rpm, block.span_rpm, smooth, residue, np.arange(2),
+        order, "X", block.force, smooth, residue, np.arange(2),
         covariance, 100, NOISE, True, "r1",
     )  # fmt: skip
     return agreed, ModalFit(modes, (), np.zeros((4, 4)), (response,)), item

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modes.order_responses import Block, project, responses_of, with_best_law, with_scatter
+from crankorder.identify.modes.order_responses import Block, Rows, project, responses_of, with_best_law, with_scatter
 from crankorder.identify.modes.responses import held_amplitudes, with_and_without
 from made.found_lines import mode, poles_of
 
@@ -33,7 +33,7 @@ def _block(seed, *, exponent=2.0, scatter=0.0, error=1e-3):
     truth = np.stack([force * _response(speed, part, direct) for part, direct in zip(residue, rigid, strict=True)])
     noise = error * (random.normal(size=truth.shape) + 1j * random.normal(size=truth.shape))
     errors = np.full(truth.shape, error)
-    block = Block(ORDER, ("a", "b", "c"), ORDER * speed / 60.0, speed, truth + noise, errors, 1800.0)
+    block = Block.of(Rows(ORDER, ("a", "b", "c"), ORDER * speed / 60.0, speed, truth + noise, errors))
     return block, residue, rigid
 
 
@@ -73,7 +73,7 @@ def test_the_scatter_of_the_force_is_told_without_bias(scatter):
 @pytest.mark.slow
 def test_a_channel_that_is_missing_at_some_speeds_takes_part_with_the_others():
     block, residue, _ = _block(4)
-    block.error[1, ::3], block.amplitude[1, ::3] = np.inf, 0.0
+    block.rows.error[1, ::3], block.rows.amplitude[1, ::3] = np.inf, 0.0
     part = project(block, TRUE)
     assert np.abs(part.linear[:, 1:] - residue).max() < 0.02
     assert part.degrees_of_freedom == 2 * (3 * 60 - 20 - 9)

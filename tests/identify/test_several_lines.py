@@ -20,7 +20,7 @@ SETTINGS = load_settings()
 def solved(signal, low=0.75, high=1.25):
     """What is found in ``signal`` between two orders."""
     frames = frames_of([signal])
-    (held,) = held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
+    (held,) = held_recordings(recordings_of([frames]), ["A"])
     return several_lines(held, low, high, beyond=0.125)
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from crankorder.identify.lines.line_phasors import sure_half_width
 from crankorder.identify.lines.order_lines import swept_orders
-from crankorder.orders.followed import followed_tracks
 from crankorder.orders.frames import order_frames
+from crankorder.orders.swept_tracks import followed_tracks
 from crankorder.settings import load_settings
 from made.command import done, findings_in
 from made.line_frames import agreed_in

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from crankorder.identify.causes.explain import explained
+from crankorder.identify.causes.explain import Beside, explained
 from crankorder.identify.findings import going_with_speed
 from crankorder.identify.found import Tone
 from crankorder.identify.intervals import Z95
@@ -186,7 +186,7 @@ def at_speed(order, rpm, *, lock="slips", error=1e-5):
 
 
 def said(*orders, longest_rev=np.inf):
-    sources = {"sources": ROTOR, "quantity": {"A": "acceleration"}, "longest_rev": longest_rev}
+    sources = {"sources": ROTOR, "quantity": {"A": "acceleration"}, "beside": Beside(longest_rev=longest_rev)}
     causes = explained(orders, fit(), [], settings=SETTINGS, **sources)
     return [causes.orders["A", one.order].text for one in orders]
 

@@ -10,13 +10,12 @@ from scipy.signal import lfilter, welch
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.identify.causes.explain import Causes
-from crankorder.identify.findings import find
+from crankorder.identify.findings import Measured, find, mode_records
 from crankorder.identify.found import Mode, UnseenBound, Whirl
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.whirl import whirls_of, without_remains
-from crankorder.identify.records import mode_records
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.frames import order_frames
@@ -296,7 +295,9 @@ def _rotor_test(seed):
         by_order.append(order_frames(band, shaft, settings=whole.orders))
     orders = order_map(by_order, settings=whole.orders)
     campbell = campbell_map(by_frequency, speed_bin_rpm=whole.orders.speed_bin_rpm)
-    return find(orders, campbell, by_order, None, test="rotor", sources=MachineModel(revs_per_cycle=1), settings=whole)
+    return find(
+        Measured(orders, campbell, by_order), test="rotor", sources=MachineModel(revs_per_cycle=1), settings=whole
+    )
 
 
 def test_a_rotor_that_unbalance_drives_through_its_forward_whirl_is_told_to_avoid_that_speed():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from crankorder.batch.plan import plan_tests
+from crankorder.checks.doubts import Doubts
 from crankorder.identify.machine_model import MachineModel
 from crankorder.stages import analyse_recording, analyse_test
 from machines.encoder_rig import Encoder, EncoderRig, draw_rig, quiet, write_rig
@@ -30,7 +31,7 @@ def said(rig, place):
     write_rig(rig, place)
     plan = plan_tests([place], place.with_suffix(".out")).tests[0]
     results = [analyse_recording(path, plan.manifest, plan.settings) for path in plan.recordings]
-    return analyse_test(results, test=plan.name, sources=MachineModel(1), settings=plan.settings)
+    return analyse_test(results, Doubts(), test=plan.name, sources=MachineModel(1), settings=plan.settings)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, OrderLine, SpeedVerdicts
 from crankorder.identify.modes.joint_fit import modal_fit
-from crankorder.identify.modes.order_responses import Block
+from crankorder.identify.modes.order_responses import Block, Rows
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
@@ -110,9 +110,10 @@ def drawn_machine(
     damping: tuple[float, float] = (0.003, 0.05),
     scatter: tuple[float, ...] = (0.0005, 0.005, 0.02),
     error: float = 0.003,
+    even: bool = True,
     smooth: bool = True,
 ) -> DrawnMachine:
-    """A machine of ``seed``: its numbers drawn between the given ends; speeds even.
+    """A machine of ``seed``: its numbers drawn between the given ends; speeds ``even``, or anywhere.
 
     Forces follow some smooth law of the speed, or (``smooth`` false) its square.
     """
@@ -121,7 +122,7 @@ def drawn_machine(
     natural = np.sort(r.uniform(30.0, 300.0, modes))
     zeta = np.exp(r.uniform(np.log(damping[0]), np.log(damping[1]), modes))
     top, count = r.uniform(*span_rpm), int(r.integers(n_speeds[0], n_speeds[1] + 1))
-    speed = np.linspace(600.0, top, count)
+    speed = np.linspace(600.0, top, count) if even else np.sort(r.uniform(600.0, top, count))
     chosen = np.sort(r.choice(np.arange(1, 21) / 2, int(r.integers(n_orders[0], n_orders[1] + 1)), replace=False))
     shape = r.normal(size=(len(CHANNELS), modes))
     orders = []
@@ -152,12 +153,8 @@ def blocks_from(machine: DrawnMachine, seed: int, *, power: bool = False) -> lis
         if power:
             errors = 2.0 * error * np.maximum(np.abs(amplitude), error)
             amplitude = np.abs(amplitude) ** 2 - 2.0 * error**2 + 0j
-        blocks.append(
-            Block(
-                item.order, CHANNELS, item.order * speed / 60.0, speed, amplitude, errors, float(speed.max()),
-                power=power,
-            )
-        )  # fmt: skip
+        rows = Rows(item.order, CHANNELS, item.order * speed / 60.0, speed, amplitude, errors, power=power)
+        blocks.append(Block.of(rows))
     return blocks
 
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from crankorder.findings import Lock
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, OrderResponse
-from crankorder.identify.modes.order_responses import Block, responses_of
+from crankorder.identify.modes.order_responses import Block, Rows, responses_of
+from crankorder.identify.modes.order_terms import Force
 from crankorder.identify.modes.surface_fit import NO_POLES, Poles
 
 SPEEDS_RPM = np.arange(600.0, 2001.0, 50.0)
@@ -78,11 +79,10 @@ def made_response(
     """A response known without error: its force grows with speed squared and is one at 1000 rpm."""
     terms = 1 + len(residue)
     return OrderResponse(
-        order=order, channel=channel, exponent=2.0, law=(), reference_rpm=1000.0,
-        span_rpm=(float(SPEEDS_RPM[0]), float(SPEEDS_RPM[-1])), smooth=np.array([smooth], dtype=complex),
-        residue=np.array(residue, dtype=complex), reached=np.arange(len(modal.modes)),
-        covariance=np.zeros((terms, terms), dtype=complex), degrees_of_freedom=2 * (len(SPEEDS_RPM) - terms),
-        error=0.0, fits=True,
+        order=order, channel=channel, force=Force(1000.0, (float(SPEEDS_RPM[0]), float(SPEEDS_RPM[-1]))),
+        smooth=np.array([smooth], dtype=complex), residue=np.array(residue, dtype=complex),
+        reached=np.arange(len(modal.modes)), covariance=np.zeros((terms, terms), dtype=complex),
+        degrees_of_freedom=2 * (len(SPEEDS_RPM) - terms), error=0.0, fits=True,
     )  # fmt: skip
 
 
@@ -91,9 +91,7 @@ def fitted_response(
 ) -> OrderResponse:
     """Response of one channel by the fit of a block of the complex ``amplitude`` behind the modes of ``modal``."""
     speed = np.asarray(speed_rpm, dtype=np.float64)
-    block = Block(
-        order, (channel,), order * speed / 60.0, speed, np.asarray(amplitude, dtype=complex)[None],
-        np.full((1, len(speed)), error), 1000.0,
-    )  # fmt: skip
+    values, errors = np.asarray(amplitude, dtype=complex)[None], np.full((1, len(speed)), error)
+    block = Block.of(Rows(order, (channel,), order * speed / 60.0, speed, values, errors))
     (response,) = responses_of([block], poles_of(modal.modes))
     return response

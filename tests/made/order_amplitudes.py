@@ -9,7 +9,7 @@ import xarray as xr
 from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
 from crankorder.engine.forces import crankcase_forces, crankcase_moments
 from crankorder.identify.found import ModalFit, Mode
-from crankorder.identify.modes.order_terms import passage_of
+from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from made.recordings import named
 
 AXES = ("X", "Z", "RY")
@@ -115,25 +115,23 @@ def made_orders(
 
 
 def swept(item: MadeOrders, rng, *, residual_kg, rpm=(300.0, 2000.0)) -> xr.Dataset:
-    """RecordingTracks of orders 1 to 4 of ``item`` while its speed sweeps, among the noise of the map's bins."""
+    """RecordingTracks of orders 1 to 4 of ``item``, as if held, while its speed sweeps among the noise of the map."""
     time, path = np.arange(0.0, 20.0, 0.08), item.path
-    speed, width, poles = np.interp(time, [0.0, 20.0], rpm), np.full(time.size, 4.0), [path.natural, path.damping]
+    speed, width = np.interp(time, [0.0, 20.0], rpm), np.full(time.size, 4.0)
     angle, orders = np.cumsum(speed) * 0.08 / 60.0, range(1, 5)
     shafts = item.engine.shafts.model_copy(update={"unbalanced_mass_kg": residual_kg})
     force = crankcase_forces(item.engine.model_copy(update={"shafts": shafts}), 30.0 / np.pi, max_order=4)[2]
+    omega, spread = speed * np.pi / 30.0, np.sqrt(noise_bandwidth_share(2) * width[0] / MAP_HZ)
     amplitude = np.zeros((len(path.rigid), 4, time.size), dtype=complex)
     for k in orders:
-        along = passage_of(k, time, speed, angle, width, poles=2)
-        noise = rng.normal(size=(5, along.time_s.size, 2)) @ [1.0, 1.0j] / np.sqrt(MAP_HZ * along.step_s)
-        for axis, pushed in ((1, force[k] * (along.speed_rpm * np.pi / 30.0) ** 2), (3, noise[3]), (4, noise[4])):
-            rung = [along.smoothed(pushed[:, None])[:, 0]]
-            rung += [along.response(pushed, *pole, slopes=False)[0] for pole in np.transpose(poles)]
-            amplitude[:, k - 1] += np.column_stack([path.rigid[:, axis], path.residue[:, axis]]) @ rung
-        amplitude[:, k - 1] += along.smoothed(0.0005 * noise[: len(amplitude)].T).T
+        noise = spread * rng.normal(size=(5, time.size, 2)) @ [1.0, 1.0j]
+        pushed = np.stack([force[k] * omega**2, noise[3], noise[4]])
+        answers = path.path(k * speed / 60.0).reshape(len(amplitude), 5, -1)[:, [1, 3, 4]]
+        amplitude[:, k - 1] = np.einsum("cat,at->ct", answers, pushed) + 0.0005 * noise[: len(amplitude)]
     item.order_map.attrs["enbw_bins"] = 1.5
     item.order_map["n_independent"] = "speed", (item.order_map["speed"].values / 300.0) ** 2
     rows = ("channel", "order", "frame")
-    tracks = {"amplitude": (rows, amplitude), "standard_error": (rows, np.ones(amplitude.shape))}
+    tracks = {"held_amplitude": (rows, amplitude), "standard_error": (rows, np.ones(amplitude.shape))}
     tracks["bandwidth_hz"] = rows[1:], np.tile(width, (4, 1))
     named_rows = {name: ("frame", of) for name, of in (("time", time), ("speed", speed), ("crank_angle", angle))}
     coords = {**named("XYZ"[: len(amplitude)]), "order": [float(k) for k in orders], **named_rows}

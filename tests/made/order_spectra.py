@@ -3,7 +3,6 @@
 import numpy as np
 import xarray as xr
 
-from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import order_tracks
 from crankorder.settings import load_settings
@@ -42,19 +41,8 @@ def angle_frames(signals: np.ndarray, *, speed: np.ndarray | float = 1200.0, nam
     return frames_of(spectra, speed_rpm=speed, revs=REVS, recording=name)
 
 
-def filtered(signals: np.ndarray, orders: tuple[float, ...], *, bandwidth: float) -> xr.Dataset:
-    """OrderTracks (channel, order) of ``signals`` (draws, samples) by Vold–Kalman, ``bandwidth`` in orders."""
-    frames, n = angle_frames(signals), signals.shape[1]
-    band = frames[["unit", "quantity"]].assign(signal=(("channel", "crank_angle"), signals, {"units": "see unit"}))
-    band.attrs = {"recording": "made", "domain": "crank_angle", "samples_per_rev": SAMPLES_PER_REV}
-    shaft = xr.Dataset(
-        {"crank_angle": ("time", [0.0, n / SAMPLES_PER_REV]), "speed": ("time", [1200.0, 1200.0])},
-        attrs={"domain": "crank_angle", "phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2},
-    )
-    settings = load_settings().orders.model_copy(
-        update={"track_method": "vold_kalman", "track_orders": orders, "track_bandwidth": bandwidth}
-    )
-    tracks = order_tracks(order_map([frames], settings=settings), orders, settings=settings)
-    return (
-        with_followed(tracks, [followed_tracks(band, shaft, settings=settings)]).isel(speed=0).sel(order=list(orders))
-    )
+def tracked(signals: np.ndarray, orders: tuple[float, ...]) -> xr.Dataset:
+    """OrderTracks (channel, order) of ``signals`` (draws, samples), all in one recording at one speed."""
+    frames, settings = [angle_frames(signals)], load_settings().orders
+    tracks = order_tracks(order_map(frames, settings=settings), list(orders), settings=settings, frames=frames)
+    return tracks.isel(speed=0)

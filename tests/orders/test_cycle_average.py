@@ -16,11 +16,11 @@ LINES = ((0.5, 0.2, 0.3), (1.0, 2.0, -1.0), (5.5, 0.7, 2.0), (12.0, 0.3, 0.4))
 LOCKED = total(*(line(*each) for each in LINES))
 
 
-def truth(angle_deg: np.ndarray) -> np.ndarray:
+def truth(angle_deg):
     return sum(amplitude * np.cos(2 * np.pi * order * angle_deg / 360 + phase) for order, amplitude, phase in LINES)
 
 
-def noise(seed: int, sigma: float):
+def noise(seed, sigma):
     return lambda time_s, _: sigma * np.random.default_rng(seed).standard_normal(len(time_s))
 
 

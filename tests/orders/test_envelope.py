@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy.special import fdtrc, gammaincc
 
 from crankorder.orders.envelope import envelope_map, recording_envelope
@@ -15,11 +14,11 @@ from made.strikes import recording, strikes
 ORDERS = load_settings().orders
 
 
-def ratio_of(made: xr.Dataset) -> np.ndarray:
+def ratio_of(made):
     return (made["amplitude"].values[:, 0] / made["floor"].values[:, 0]) ** 4
 
 
-def strongest(made: xr.Dataset, channel: int = 0) -> float:
+def strongest(made, channel=0):
     order = made["order"].values
     return float(order[np.argmax(np.where(order > 0.25, ratio_of(made)[channel], 0.0))])
 
@@ -222,7 +221,7 @@ def test_two_harmonics_are_as_unlikely_as_fishers_method_says():
     assert made.max() == pytest.approx(wanted, rel=1e-6)
 
 
-def rung(orders_at_hz: list[tuple[float, float]], *, size: float, seed: int, speed_rpm: float) -> xr.Dataset:
+def rung(orders_at_hz, *, size, seed, speed_rpm):
     """RecordingEnvelope of strikes at each order, about a percent unsteady, that ring at its own frequency."""
     rate, n = 25_600.0, 128_000
     time = np.arange(n) / rate

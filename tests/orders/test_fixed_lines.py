@@ -4,7 +4,6 @@ import warnings
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import crankorder as co
 from crankorder import front_door
@@ -19,7 +18,7 @@ CLOSE_HZ = 2.5
 """Distance of an order from a line within which one shows in the other."""
 
 
-def recordings(rng: np.random.Generator) -> list[xr.Dataset]:
+def recordings(rng):
     """Recordings of 12 s from 1100 to 1300 rpm of ORDERS and of MAINS by multiple, each with its amplitude."""
     time, phases, made = np.arange(round(12.0 * RATE_HZ)) / RATE_HZ, rng.uniform(0.0, 6.0, len(ORDERS)), []
     for rpm in range(1100, 1301, 20):
@@ -36,19 +35,21 @@ def recordings(rng: np.random.Generator) -> list[xr.Dataset]:
 
 
 def test_an_order_is_not_told_with_the_mains_that_it_meets_and_multiples_are_of_the_supply_that_is_there():
-    settings = front_door._settings("findings", "order_tracks", recipe=None)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        groups, told = front_door._analysed(
-            recordings(np.random.default_rng(1)), settings, tables={}, engine=None, test="made"
-        )
-    tracks, held = groups["order_tracks"].sel(channel="A"), []
-    for order, true in ORDERS.items():
-        one = tracks.sel(order=order, method="nearest")
-        close = [abs(order * one["speed"].values / 60.0 - k * MAINS_HZ) < CLOSE_HZ for k in MAINS]
-        inside = (one["amplitude_low"].values <= true) & (true <= one["amplitude_high"].values)
-        held += inside[np.any(close, axis=0) & np.isfinite(one["amplitude"].values)].tolist()
-    assert len(held) == 5 and np.mean(held) >= 0.92
+    settings, held = front_door._settings("findings", "order_tracks", recipe=None), []
+    for seed in range(8):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            groups, told = front_door._analysed(
+                recordings(np.random.default_rng(seed)), settings, tables={}, engine=None, test="made"
+            )
+        tracks = groups["order_tracks"].sel(channel="A")
+        for order, true in ORDERS.items():
+            one = tracks.sel(order=order, method="nearest")
+            close = [abs(order * one["speed"].values / 60.0 - k * MAINS_HZ) < CLOSE_HZ for k in MAINS]
+            inside = (one["amplitude_low"].values <= true) & (true <= one["amplitude_high"].values)
+            held += inside[np.any(close, axis=0) & np.isfinite(one["amplitude"].values)].tolist()
+    # of 40 rows fewer than 33 are inside with a chance of 1e-3 where it is 95 %
+    assert len(held) == 40 and np.sum(held) >= 33
     (third,) = [one for one in told.as_dict()["orders"] if round(one["order"]) == 3]
     assert third["amplitude"] == pytest.approx(0.4, rel=0.01)
     assert "mains of 60.02 Hz meets it at 1200 rpm, where its own share is" in third["evidence"]
@@ -64,7 +65,7 @@ TIME = np.arange(round(SWEEP_HZ * SECONDS)) / SWEEP_HZ
 ORDER = np.array([2.0])
 
 
-def _sweep(rng: np.random.Generator) -> tuple[xr.Dataset, np.ndarray]:
+def _sweep(rng):
     """Shaft of a run-up from 1000 rpm or so to twice that, and order 2 of amplitude 1 with noise (2, samples)."""
     first_hz = rng.uniform(15.0, 18.0)
     rate = first_hz * rng.uniform(0.9, 1.1) / SECONDS
@@ -75,13 +76,13 @@ def _sweep(rng: np.random.Generator) -> tuple[xr.Dataset, np.ndarray]:
     return turned, order + NOISE * rng.standard_normal((2, len(TIME)))
 
 
-def _band(signals: np.ndarray) -> xr.Dataset:
+def _band(signals):
     return sampled(signals, rate_hz=SWEEP_HZ, band_hz=800.0)
 
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
-def test_mains_that_an_order_passes_are_taken_out_as_they_are(seed: int) -> None:
+def test_mains_that_an_order_passes_are_taken_out_as_they_are(seed):
     rng = np.random.default_rng(seed)
     turned, signals = _sweep(rng)
     hertz = float(rng.choice([50.0, 60.0])) + rng.uniform(-0.1, 0.1)
@@ -95,7 +96,7 @@ def test_mains_that_an_order_passes_are_taken_out_as_they_are(seed: int) -> None
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
-def test_an_order_and_what_rings_after_it_are_left(seed: int) -> None:
+def test_an_order_and_what_rings_after_it_are_left(seed):
     rng = np.random.default_rng(100 + seed)
     turned, signals = _sweep(rng)
     since = np.maximum(TIME - rng.uniform(5.0, 12.0), 0.0)

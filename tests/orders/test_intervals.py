@@ -19,13 +19,13 @@ BINOMIAL_SIGMAS = 4.0
 """A right test of a hundred such fails once in a hundred and fifty runs of other seeds."""
 
 
-def beyond(hits: np.ndarray, *, least: float = 0.95, most: float = 0.95) -> float:
+def beyond(hits, *, least=0.95, most=0.95):
     """How far the share of ``hits`` is from the stated chances, in what its number allows: no more than 1."""
     reach = BINOMIAL_SIGMAS * np.sqrt(0.95 * 0.05 / hits.size)
     return float(max(least - hits.mean(), hits.mean() - most) / reach)
 
 
-def covered(made, order, amplitude, phase_rad) -> tuple[np.ndarray, np.ndarray]:
+def covered(made, order, amplitude, phase_rad):
     line = made.sel(order=order).isel(speed=0)
     size = (line["coherent_amplitude_low"] <= amplitude) & (amplitude <= line["coherent_amplitude_high"])
     off = (line["phase"] - np.degrees(phase_rad) + 180.0) % 360.0 - 180.0
@@ -85,7 +85,7 @@ def test_the_truth_lies_in_95_of_100_intervals_of_the_map(colour, frames):
             assert beyond(part) < 1.0
 
 
-def repeats(rng, recordings: int, *, scatter: float, sigma: float, **attrs) -> list:
+def repeats(rng, recordings, *, scatter, sigma, **attrs):
     """Recordings of five frames whose line at order 5 differs in amplitude and in phase from one to the next."""
     made = []
     for number in range(recordings):

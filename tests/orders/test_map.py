@@ -17,7 +17,7 @@ from made.recordings import line, run_up, steady, total
 SETTINGS = load_settings().orders
 
 
-def noise(seed: int, sigma: float):
+def noise(seed, sigma):
     rng = np.random.default_rng(seed)
     return lambda time_s, _: sigma * rng.standard_normal(len(time_s))
 
@@ -169,7 +169,7 @@ COURSES = {
 }
 
 
-def mapped(course, *, frames: int, sigma: float, draws: int = 100, seed: int = 0, phase=lambda share: 0.3):
+def mapped(course, *, frames, sigma, draws=100, seed=0, phase=lambda share: 0.3):
     noise = sigma * coloured(np.random.default_rng([frames, seed]), draws, revs=8 * (frames + 1), colour="white")
     share = np.linspace(0.0, 1.0, noise.shape[1])
     angle = np.arange(noise.shape[1]) / SAMPLES_PER_REV
@@ -300,7 +300,7 @@ def test_a_gap_in_a_long_frame_is_one_in_all_shorter_ones_that_touch_it():
     assert np.isfinite(cut["spectrum"].values[0].real).any()
 
 
-def held(rng, rpm: float, amplitude: float, phase: float = 0.3, *, order: float = 2.0, frames: int = 20, **attrs):
+def held(rng, rpm, amplitude, phase=0.3, *, order=2.0, frames=20, **attrs):
     """A recording of two channels at ``rpm`` with one line, and noise of a third."""
     noise = 0.3 * coloured(rng, 2, revs=8 * (frames + 1), colour="white")
     speed = rpm + 0.05 * rng.standard_normal(frames)
@@ -309,7 +309,7 @@ def held(rng, rpm: float, amplitude: float, phase: float = 0.3, *, order: float 
     return made
 
 
-def rows(*recordings) -> list[float]:
+def rows(*recordings):
     return [round(float(rpm)) for rpm in order_map(list(recordings), settings=SETTINGS)["speed"].values]
 
 

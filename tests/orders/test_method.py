@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.errors import InputError, RequestError
 from crankorder.fft.decimation import band_limited
@@ -235,7 +234,7 @@ def test_a_record_of_whole_turns_is_read_to_its_last_sample(encoder, rise):
             np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=1.0).values), 1.0, atol=0.02)
 
 
-def _whole_turns(turns: int, encoder: str, *, rise: float, more: int) -> xr.Dataset:
+def _whole_turns(turns, encoder, *, rise, more):
     """Recording of order 1, ``turns`` turns and ``more`` samples long, in which the speed rises by a share ``rise``."""
     rate_hz = 1000.0
     duration_s = round(turns / 17.3 / (1.0 + 0.5 * rise) * rate_hz) / rate_hz

@@ -14,15 +14,15 @@ SETTINGS = load_settings().orders
 PHASORS = np.array([2.0 * np.exp(0.4j), 0.5 * np.exp(-2.9j), 1.0 * np.exp(1.7j)])
 
 
-def circular(rng: np.random.Generator, *shape: int) -> np.ndarray:
+def circular(rng, *shape):
     return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
 
 
-def shapes_of(spectrum: np.ndarray, orders=(1.0,), reference=None, **options):
+def shapes_of(spectrum, orders=(1.0,), reference=None, **options):
     return operating_shapes([frames_of(spectrum, **options)], orders, settings=SETTINGS, reference=reference)
 
 
-def steady_frames(n_frames: int = 8, n_orders: int = 9) -> np.ndarray:
+def steady_frames(n_frames=8, n_orders=9):
     return np.tile(PHASORS[:, None, None], (1, n_frames, n_orders))
 
 

@@ -23,7 +23,7 @@ STILL = dict.fromkeys(HARMONICS, (0j, 1e-7))
 """What pulses show of an encoder without error on a shaft that turns evenly."""
 
 
-def shown(lines: dict[float, complex], swings: dict[int, complex]) -> np.ndarray:
+def shown(lines, swings):
     """Order spectrum of ``lines`` by an angle that is off by ``swings`` [rev], by Fourier sums over eight turns."""
     n = 4096
     seen = PER_ORDER * np.arange(n) / n
@@ -45,7 +45,7 @@ def test_lines_are_brought_back_to_where_they_belong():
     assert np.abs(shown(lines, swings) - wanted).max() > 0.02
 
 
-def rows(spectra: list[np.ndarray], noise: float, rng: np.random.Generator) -> Rows:
+def rows(spectra, noise, rng):
     grid = np.stack([one[:: PER_ORDER // 2] for one in spectra])
     scatter = np.sqrt(0.5) * noise * (rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape))
     return Rows(grid + scatter, np.full(grid.shape, noise**2))
@@ -65,7 +65,7 @@ def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
     assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found, EXPECTED, {}))
 
 
-def phases(rng: np.random.Generator, orders: list[float]) -> dict[float, complex]:
+def phases(rng, orders):
     return {order: complex(rng.lognormal() * np.exp(2j * np.pi * rng.random())) for order in orders}
 
 
@@ -174,7 +174,7 @@ def test_a_sideband_seen_at_one_speed_alone_blames_no_encoder():
 # What the error of the crank angle adds to the intervals of a line.
 
 
-def _shaft(error_rev: float, revs: int = 20) -> xr.Dataset:
+def _shaft(error_rev, revs=20):
     """One pulse per revolution at 600 rpm, each knot with the same error, nothing smoothed."""
     knots = np.arange(revs + 2.0)
     return xr.Dataset(
@@ -188,30 +188,30 @@ def _shaft(error_rev: float, revs: int = 20) -> xr.Dataset:
     )
 
 
-def test_a_phase_errs_by_the_order_times_the_mean_error_of_the_angle() -> None:
+def test_a_phase_errs_by_the_order_times_the_mean_error_of_the_angle():
     half = AngleErrors(np.zeros(1), np.array([1e-3])).phase_half_deg(np.zeros(2), np.array([1.0, 10.0]))
     np.testing.assert_allclose(half, 1.96 * 0.36 * np.array([1.0, 10.0]), rtol=1e-4)
 
 
-def test_an_unknown_phase_stays_unknown() -> None:
+def test_an_unknown_phase_stays_unknown():
     half = AngleErrors(np.zeros(2), np.full(2, 1e-3)).phase_half_deg(np.array([180.0, np.nan]), np.array(5.0))
     assert half[0] == 180.0
     assert np.isnan(half[1])
 
 
-def test_random_error_takes_of_the_amplitude_what_it_takes_of_a_phasors_mean() -> None:
+def test_random_error_takes_of_the_amplitude_what_it_takes_of_a_phasors_mean():
     scatter = np.random.default_rng(1).normal(0.0, 2e-3, 200_000)
     kept = AngleErrors(np.array([2e-3]), np.zeros(1)).kept(np.array([12.0]))
     assert kept[0] == pytest.approx(abs(np.exp(2j * np.pi * 12.0 * scatter).mean()), rel=1e-3)
 
 
-def test_the_mean_over_a_row_errs_by_the_root_of_its_revolutions_less() -> None:
+def test_the_mean_over_a_row_errs_by_the_root_of_its_revolutions_less():
     shaft = _shaft(1e-3)
     errors = errors_along(shaft, np.array([0.5, 1.0]), np.array([1.0, 16.0]))
     np.testing.assert_allclose(errors.mean, [1e-3, 0.25e-3], rtol=1e-6)
 
 
-def test_recordings_that_share_a_row_err_each_on_its_own() -> None:
+def test_recordings_that_share_a_row_err_each_on_its_own():
     attrs = {"revs_per_frame": 4, "overlap": 0.0, **stated_errors(_shaft(1e-3), revs_per_frame=4.0)}
     frames = [xr.Dataset(attrs=attrs) for _ in range(2)]
     owner = np.array([0, 1])

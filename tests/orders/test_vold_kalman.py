@@ -2,19 +2,15 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from crankorder.errors import InputError, RequestError
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.orders.vold_kalman.filter import vold_kalman
-from crankorder.orders.vold_kalman.system import EnvelopeSystem
 
 RATE_HZ = 2000.0
 
 
-def exact_envelope(
-    signal: NDArray[np.float64], phase_rev: NDArray[np.float64], *, bandwidth_hz: float, poles: int
-) -> NDArray[np.complex128]:
+def exact_envelope(signal, phase_rev, *, bandwidth_hz, poles):
     """Envelope of one order by orthogonal transformation of the whole, dense problem: no normal equations.
 
     Rows of the structural equation are weighted by r, those of the data by one; a constant is an unknown more.
@@ -31,19 +27,19 @@ def exact_envelope(
     return found[:n] - 1j * found[n : 2 * n]
 
 
-def run_up(n: int, *, order: float = 1.0) -> NDArray[np.float64]:
+def run_up(n, *, order=1.0):
     """Phase [rev] of an order on a run-up from 60 Hz on."""
     time_s = np.arange(n) / RATE_HZ
     return order * (60.0 * time_s + 25.0 * time_s**2)
 
 
-def line(envelope: NDArray[np.complex128], phase_rev: NDArray[np.float64]) -> NDArray[np.float64]:
+def line(envelope, phase_rev):
     return np.real(envelope * np.exp(2j * np.pi * (phase_rev - np.floor(phase_rev))))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("poles", [1, 2, 3, 4])
-def test_the_noise_bandwidth_is_the_integral_of_the_squared_gain(poles: int) -> None:
+def test_the_noise_bandwidth_is_the_integral_of_the_squared_gain(poles):
     x = np.linspace(-4000.0, 4000.0, 8_000_001)
     integral = np.sum((1.0 + (np.sqrt(2.0) - 1.0) * x ** (2 * poles)) ** -2.0) * (x[1] - x[0]) / 2.0
     assert noise_bandwidth_share(poles) == pytest.approx(integral, rel=1e-6)
@@ -51,7 +47,7 @@ def test_the_noise_bandwidth_is_the_integral_of_the_squared_gain(poles: int) -> 
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(("bandwidth_hz", "poles"), [(8.0, 2), (2.0, 1), (20.0, 2), (20.0, 3)])
-def test_a_modulated_line_comes_out_half_as_strong_at_the_edge_of_the_band(bandwidth_hz: float, poles: int) -> None:
+def test_a_modulated_line_comes_out_half_as_strong_at_the_edge_of_the_band(bandwidth_hz, poles):
     time_s = np.arange(24_000) / RATE_HZ
     phase = 300.0 * time_s
     signal = np.cos(2 * np.pi * (300.0 + 0.5 * bandwidth_hz) * time_s)
@@ -61,23 +57,18 @@ def test_a_modulated_line_comes_out_half_as_strong_at_the_edge_of_the_band(bandw
 
 
 @pytest.mark.cases(1)
-@pytest.mark.parametrize("poles", [1, 2, 3])
-@pytest.mark.parametrize("bandwidth_hz", [40.0, 150.0])
-def test_solved_at_every_sample_it_is_the_solution_of_the_dense_problem(poles: int, bandwidth_hz: float) -> None:
-    rng = np.random.default_rng(poles)
-    phase = run_up(400)
-    signal = line(1.0 + 0.5j * np.linspace(0, 1, 400), phase) + 0.3 * rng.normal(size=400) + 2.0
-    truth = exact_envelope(signal, phase, bandwidth_hz=bandwidth_hz, poles=poles)
-    settings = {"rate_hz": RATE_HZ, "bandwidth_hz": bandwidth_hz, "poles": poles}
-    tracks = vold_kalman([signal], [phase], method="samples", **settings)
-    assert np.abs(tracks.amplitude[0, 0] - truth).max() < 1e-11
+@pytest.mark.parametrize(("bandwidth_hz", "share"), [(40.0, 1e-3), (150.0, 1e-2)])
+def test_a_wide_band_is_that_of_the_dense_problem_on_knots_of_few_samples(bandwidth_hz, share):
+    phase, noise = run_up(400), np.random.default_rng(2).normal(size=400)
+    truth = exact_envelope(noise + 2.0, phase, bandwidth_hz=bandwidth_hz, poles=2)
+    tracks = vold_kalman([noise + 2.0], [phase], rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
+    wrong = np.sqrt(np.mean(np.abs(tracks.amplitude[0, 0] - truth) ** 2))
+    assert wrong < share * np.sqrt(np.mean(np.abs(truth) ** 2))
 
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(("poles", "share"), [(2, 1e-3), (1, 0.03), (3, 2e-5)])
-def test_on_knots_it_is_the_solution_of_the_dense_problem_but_for_what_is_far_from_the_order(
-    poles: int, share: float
-) -> None:
+def test_on_knots_it_is_the_solution_of_the_dense_problem_but_for_what_is_far_from_the_order(poles, share):
     """What the exact filter lets through from beyond 8 (one pole: 32) bandwidths is all that differs: of white noise
     of unit strength less than ``share`` of what stays in the band."""
     rng = np.random.default_rng(poles)
@@ -86,7 +77,7 @@ def test_on_knots_it_is_the_solution_of_the_dense_problem_but_for_what_is_far_fr
     for bandwidth_hz in (1e-2 if poles < 3 else 0.5, 0.8, 4.0, 4.9 if poles == 1 else 15.0):
         truth = exact_envelope(noise, phase, bandwidth_hz=bandwidth_hz, poles=poles)
         settings = {"rate_hz": RATE_HZ, "bandwidth_hz": bandwidth_hz, "poles": poles}
-        tracks = vold_kalman([noise], [phase], method="knots", **settings)
+        tracks = vold_kalman([noise], [phase], **settings)
         wrong = np.sqrt(np.mean(np.abs(tracks.amplitude[0, 0] - truth) ** 2))
         assert wrong < share * np.sqrt(np.mean(np.abs(truth) ** 2))
 
@@ -94,7 +85,7 @@ def test_on_knots_it_is_the_solution_of_the_dense_problem_but_for_what_is_far_fr
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("ratio", [5e1, 5e2, 1e4, 5e5, 1e8])
 @pytest.mark.parametrize("poles", [1, 2, 3, 4])
-def test_a_steady_amplitude_is_exact_at_any_bandwidth(ratio: float, poles: int) -> None:
+def test_a_steady_amplitude_is_exact_at_any_bandwidth(ratio, poles):
     phase = run_up(20_000)
     truth = 1.7 * np.exp(0.4j)
     signal = line(truth, phase - np.floor(phase))
@@ -103,7 +94,7 @@ def test_a_steady_amplitude_is_exact_at_any_bandwidth(ratio: float, poles: int) 
     assert np.abs(tracks.residual).max() < 1e-12
 
 
-def test_tracks_and_residual_add_up_to_the_signal() -> None:
+def test_tracks_and_residual_add_up_to_the_signal():
     rng = np.random.default_rng(1)
     phase = np.stack([run_up(9_000, order=order) for order in (1.0, 2.5)])
     signals = rng.normal(size=(2, 9_000)) + 3.0
@@ -115,11 +106,11 @@ def test_tracks_and_residual_add_up_to_the_signal() -> None:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("bandwidth_hz", [2.0, 60.0])
-def test_it_is_linear_doubles_and_leaves_channels_apart(bandwidth_hz: float) -> None:
+def test_it_is_linear_doubles_and_leaves_channels_apart(bandwidth_hz):
     rng = np.random.default_rng(2)
     phase, signals = run_up(6_000)[None], rng.normal(size=(2, 6_000))
 
-    def amplitude(values: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def amplitude(values):
         return vold_kalman(values, phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz).amplitude
 
     both = amplitude(signals)
@@ -128,7 +119,7 @@ def test_it_is_linear_doubles_and_leaves_channels_apart(bandwidth_hz: float) -> 
     assert np.abs(amplitude(signals[1:]) - both[1:]).max() < 1e-15
 
 
-def test_a_shift_of_the_phase_reference_turns_the_amplitude() -> None:
+def test_a_shift_of_the_phase_reference_turns_the_amplitude():
     rng = np.random.default_rng(3)
     phase, signal = run_up(6_000)[None], rng.normal(size=(1, 6_000))
     plain = vold_kalman(signal, phase, rate_hz=RATE_HZ, bandwidth_hz=3.0).amplitude
@@ -136,38 +127,7 @@ def test_a_shift_of_the_phase_reference_turns_the_amplitude() -> None:
     assert np.abs(moved * np.exp(0.6j * np.pi) - plain).max() < 1e-12
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("block", [999, 4_096])
-def test_blocks_and_whole_agree(block: int) -> None:
-    rng = np.random.default_rng(4)
-    n = 20_000
-    phase, signals = np.stack([run_up(n), run_up(n, order=1.5)]), rng.normal(size=(2, n))
-    usable = np.ones(n, dtype=bool)
-    usable[7_000:7_500] = False
-    whole = vold_kalman(signals, phase, rate_hz=RATE_HZ, bandwidth_hz=[1.0, 2.0], usable=usable)
-    bandwidth_hz = np.array([[1.0, 1.0], [2.0, 2.0]])
-    system = EnvelopeSystem(n_samples=n, n_channels=2, bandwidth_hz=bandwidth_hz, rate_hz=RATE_HZ, poles=2)
-    parts = [slice(begin, min(n, begin + block)) for begin in range(0, n, block)]
-    for part in parts:
-        system.add(signals[:, part], phase[:, part], usable[part], begin=part.start)
-    solution = system.solve()
-    for part in parts:
-        found, residual = system.read(solution, signals[:, part], phase[:, part], usable[part], begin=part.start)
-        assert np.abs(found - whole.amplitude[:, :, part]).max() < 1e-12
-        assert np.array_equal(np.isnan(residual), np.isnan(whole.residual[:, part]))
-
-
-def test_blocks_solved_at_every_sample_have_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(5)
-    phase, signal = run_up(9_000)[None], rng.normal(size=(1, 9_000))
-    whole = vold_kalman(signal, phase, rate_hz=RATE_HZ, bandwidth_hz=60.0)
-    monkeypatch.setattr("crankorder.orders.vold_kalman.filter.BLOCK", 2_000)
-    parts = vold_kalman(signal, phase, rate_hz=RATE_HZ, bandwidth_hz=60.0)
-    assert whole.method == parts.method == "samples"
-    assert np.abs(whole.amplitude - parts.amplitude).max() < 1e-12
-
-
-def test_a_bandwidth_that_varies_is_met_everywhere() -> None:
+def test_a_bandwidth_that_varies_is_met_everywhere():
     rng = np.random.default_rng(6)
     n = 40_000
     phase = run_up(n)
@@ -180,7 +140,7 @@ def test_a_bandwidth_that_varies_is_met_everywhere() -> None:
         assert power[part].mean() == pytest.approx(expected, rel=0.06)
 
 
-def test_single_precision_agrees_to_its_own_rounding() -> None:
+def test_single_precision_agrees_to_its_own_rounding():
     rng = np.random.default_rng(7)
     phase = run_up(8_000)[None]
     signal = line(2.0 + 0.0j, phase) + 0.1 * rng.normal(size=(1, 8_000))
@@ -189,34 +149,33 @@ def test_single_precision_agrees_to_its_own_rounding() -> None:
     assert np.abs(single - double).max() < 2.0 * 6e-8
 
 
-def test_orders_that_move_together_are_refused_by_name() -> None:
+def test_orders_that_move_together_are_refused_by_name():
     phase, noise = run_up(8_000), np.random.default_rng(8).normal(size=(1, 8_000))
     for near in (phase.copy(), phase * 1.0002):
-        with pytest.raises(RequestError, match="components 0 and 1 cannot be told apart"):
+        with pytest.raises(RequestError, match="component 0 and component 1 cannot be told apart"):
             vold_kalman(noise, [phase, near], rate_hz=RATE_HZ, bandwidth_hz=5.0)
 
 
-def test_a_line_slower_than_its_band_is_refused_for_its_image() -> None:
+def test_a_line_slower_than_its_band_is_refused_for_its_image():
     time_s = np.arange(20_000) / RATE_HZ
     with pytest.raises(RequestError, match="its own image at minus the frequency"):
         vold_kalman([np.cos(time_s)], [0.05 * time_s], rate_hz=RATE_HZ, bandwidth_hz=4.0)
 
 
-def test_a_wrong_request_says_what_is_wrong() -> None:
+def test_a_wrong_request_says_what_is_wrong():
     for change, words in (
         ({"poles": 5}, "no such filter"),
         ({"bandwidth_hz": 0.0}, "no such bandwidth"),
         ({"bandwidth_hz": 1000.0}, "no such bandwidth"),
         ({"bandwidth_hz": [1.0, 2.0]}, "do not fit the orders"),
         ({"usable": np.ones(5, dtype=bool)}, "usable does not fit"),
-        ({"bandwidth_hz": 0.01, "method": "samples"}, "too narrow to solve at every sample"),
     ):
         settings = {"rate_hz": RATE_HZ, "bandwidth_hz": 2.0} | change
         with pytest.raises(RequestError, match=words):
             vold_kalman(np.zeros((1, 500)), [run_up(500)], **settings)
 
 
-def test_too_few_samples_and_a_phase_with_holes_are_refused() -> None:
+def test_too_few_samples_and_a_phase_with_holes_are_refused():
     with pytest.raises(InputError, match="too short"):
         vold_kalman(np.zeros((1, 50)), [run_up(50)], rate_hz=RATE_HZ, bandwidth_hz=2.0)
     with pytest.raises(InputError, match="too short"):

@@ -20,7 +20,7 @@ from crankorder import plot
 from crankorder.channel_units import by_channel
 from crankorder.errors import RequestError
 from crankorder.plot import palette
-from crankorder.plot.cells import pooled
+from crankorder.plot.campbell_figure import pooled
 from crankorder.plot.drawing import Field
 from crankorder.plot.painter import PaintedPanel
 from crankorder.report.pictures import pictures_of

@@ -33,12 +33,13 @@ def test_the_balance_weight_is_the_cause(comparison):
 
 
 def test_the_unbalance_that_the_weight_took_away_is_its_own_mass(comparison):
-    (grams,) = comparison["masses"]
-    assert grams["added"] == pytest.approx(0.060)
+    trial = comparison["trial_mass"]
+    arm = trial["radius_mm"]
     # a rest of a tenth: the unbalance was within a fifth of the weight's own mass, and is a tenth of it
-    assert grams["before"] == pytest.approx(0.060, rel=0.2)
-    assert grams["after_ci95"][0] < 0.006 < grams["after_ci95"][1] < 0.02
-    responses = [one["response"] for one in grams["response_per_unit"]]
+    assert trial["residual_rotating_gmm"] / arm == pytest.approx(0.060, rel=0.2)
+    low, high = trial["residual_after_gmm_ci95"]
+    assert low / arm < 0.006 < high / arm < 0.02
+    responses = [one["response_per_unit"] * arm for one in trial["influence"]]
     assert min(responses) > 1500 and max(responses) < 12000  # counts per gram, from 49 Hz to the resonance
 
 

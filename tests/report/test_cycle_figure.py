@@ -8,8 +8,7 @@ import pytest
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.orders.shapes import operating_shapes
 from crankorder.plot.painter import picture_bytes
-from crankorder.report.cycle_figure import cycle_figure
-from crankorder.report.shapes_figure import shapes_figure
+from crankorder.report.cycle_figure import cycle_figure, shapes_figure
 from crankorder.settings import load_settings
 from made.recordings import frames_of, line, steady, total
 from made.texts import overlaps, words

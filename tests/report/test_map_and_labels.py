@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.plot.cells import gaps_between, speed_cells, with_gaps
+from crankorder.plot.campbell_figure import gaps_between, speed_cells, with_gaps
 from crankorder.plot.drawing import linear_texts, linear_ticks
 from crankorder.plot.labels import EdgeLabel, fitted, spread
 from crankorder.plot.palette import drawable, text_width_in

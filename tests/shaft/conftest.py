@@ -1,13 +1,9 @@
 """Shafts whose angle is known, the traces that encoders on them give, and measured traces read without the program."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from made.recordings import sampled
 
@@ -23,10 +19,10 @@ class KnownShaft:
     irregularity: dict[float, float] = field(default_factory=lambda: {1.0: 0.005, 2.0: 0.01, 4.0: 0.005})
 
     @property
-    def time_s(self) -> np.ndarray:
+    def time_s(self):
         return np.arange(round(self.duration_s * self.rate_hz)) / self.rate_hz
 
-    def angle_rev(self, time_s: np.ndarray | None = None) -> np.ndarray:
+    def angle_rev(self, time_s=None):
         time_s = self.time_s if time_s is None else time_s
         steady = self.speed_rpm / 60.0 * time_s
         swing = sum(
@@ -35,7 +31,7 @@ class KnownShaft:
         )
         return self.start_rev + steady + swing
 
-    def square(self, pulses_per_rev: int, *, lost: Callable[[np.ndarray], np.ndarray] | None = None) -> np.ndarray:
+    def square(self, pulses_per_rev, *, lost=None):
         """0/1 trace, high for the first half of each pulse; ``lost`` picks pulse numbers that do not come."""
         place = self.angle_rev() * pulses_per_rev
         high = place % 1.0 < 0.5
@@ -43,11 +39,11 @@ class KnownShaft:
             high &= ~lost(np.floor(place).astype(int))
         return high.astype(np.float32)
 
-    def index(self, pulses_per_rev: int) -> np.ndarray:
+    def index(self, pulses_per_rev):
         """0/1 trace, high for the first pulse of each revolution."""
         return (self.angle_rev() % 1.0 < 1.0 / pulses_per_rev).astype(np.float32)
 
-    def pulse_time_s(self, pulses_per_rev: int) -> np.ndarray:
+    def pulse_time_s(self, pulses_per_rev):
         """Exact times of the pulses, by Newton's method."""
         first, last = self.angle_rev(np.array([0.0, self.duration_s])) * pulses_per_rev
         angle = np.arange(np.ceil(first), np.floor(last) + 1) / pulses_per_rev
@@ -58,15 +54,15 @@ class KnownShaft:
 
 
 @pytest.fixture(scope="session")
-def known_shaft() -> type[KnownShaft]:
+def known_shaft():
     return KnownShaft
 
 
 @pytest.fixture(scope="session")
-def recording_of() -> Callable[..., xr.Dataset]:
+def recording_of():
     """Maker of Recording datasets with given pulse times."""
 
-    def make(pulse_time_s: np.ndarray | None, *, index_time_s: np.ndarray | None = None, **attrs: Any) -> xr.Dataset:
+    def make(pulse_time_s, *, index_time_s=None, **attrs):
         defaults = {"rate_hz": 50_000.0, "encoder_kind": "pulse_times", "revs_per_cycle": 1}
         defaults |= {"pulses_per_rev": 360, "missing_teeth": 0, "ratio": 1.0}
         made = sampled(np.zeros((1, 5001)), **(defaults | attrs))
@@ -80,10 +76,10 @@ def recording_of() -> Callable[..., xr.Dataset]:
 
 
 @pytest.fixture(scope="session")
-def order_error() -> Callable[..., complex]:
+def order_error():
     """Maker of what an order reads, over what it is, when analysed by an estimated instead of the true angle."""
 
-    def make(estimated_rev: np.ndarray, true_rev: np.ndarray, order: float) -> complex:
+    def make(estimated_rev, true_rev, order):
         known = np.isfinite(estimated_rev)
         return complex(np.mean(np.exp(2j * np.pi * order * (true_rev[known] - estimated_rev[known]))))
 
@@ -91,10 +87,10 @@ def order_error() -> Callable[..., complex]:
 
 
 @pytest.fixture(scope="session")
-def genset_pickup(shared_data: Path) -> Callable[[str], np.ndarray]:
+def genset_pickup(shared_data):
     """Reader of the toothed-wheel pickup of a genset recording, by file name."""
 
-    def read(name: str) -> np.ndarray:
+    def read(name):
         (path,) = (shared_data / "tue_genset").rglob(name)
         swapped = "Training Set" in str(path)
         return np.loadtxt(path, usecols=2 if swapped else 1, dtype=np.float64)

@@ -1,7 +1,5 @@
 """Smoothed angle against shafts whose angle is known, and the interpolation between knots."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -223,7 +221,7 @@ RATE_HZ, LINES = 20_000.0, 60
 ENCODER = {"kind": "square", "source": "a", "second_track": "b", "pulses_per_rev": 60}
 
 
-def flags(folder: Path, turns: np.ndarray, *, edge: str = "rising", second: np.ndarray | None = None) -> dict[str, str]:
+def flags(folder, turns, *, edge="rising", second=None):
     """Flags on the direction of a shaft at ``turns`` (sample,), A leading B by a quarter of a line forwards."""
     folder.mkdir(exist_ok=True)
     text = manifest("*.h5", channels={"Z": {"source": "z"}}, encoder=ENCODER | {"edge": edge})
@@ -242,24 +240,24 @@ TIME_S = np.arange(int(2.0 * RATE_HZ)) / RATE_HZ
 
 
 @pytest.mark.parametrize("edge", ["rising", "falling"])
-def test_d8_a_shaft_that_turns_backwards_is_told_and_one_that_turns_forwards_is_not(tmp_path: Path, edge: str) -> None:
+def test_d8_a_shaft_that_turns_backwards_is_told_and_one_that_turns_forwards_is_not(tmp_path, edge):
     assert flags(tmp_path / "forwards", 20.0 * TIME_S + 0.003, edge=edge) == {}
     told = flags(tmp_path / "backwards", -20.0 * TIME_S + 0.003, edge=edge)
     assert list(told) == ["turns_backwards"] and "100.0%" in told["turns_backwards"]
 
 
-def test_d8_a_shaft_that_turns_round_is_told_with_its_place(tmp_path: Path) -> None:
+def test_d8_a_shaft_that_turns_round_is_told_with_its_place(tmp_path):
     there_and_back = np.where(TIME_S < 1.5, 20.0 * TIME_S, 60.0 - 20.0 * TIME_S) + 0.003
     told = flags(tmp_path / "round", there_and_back)
     assert list(told) == ["direction_changes"]
     assert "25.0%" in told["direction_changes"] and "at pulse 1800" in told["direction_changes"]
 
 
-def test_d8_a_dead_second_track_says_nothing(tmp_path: Path) -> None:
+def test_d8_a_dead_second_track_says_nothing(tmp_path):
     assert list(flags(tmp_path / "dead", 20.0 * TIME_S + 0.003, second=np.ones(TIME_S.size))) == ["direction_unknown"]
 
 
-def test_a_second_track_goes_with_a_sampled_one(tmp_path: Path) -> None:
+def test_a_second_track_goes_with_a_sampled_one(tmp_path):
     text = manifest(channels={"Z": {"source": "z"}}, encoder=ENCODER | {"kind": "pulse_times"})
     (tmp_path / "run.toml").write_text(text, encoding="utf-8")
     with pytest.raises(Exception, match="a second track is a sampled trace"):

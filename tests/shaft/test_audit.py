@@ -23,7 +23,7 @@ RATE_HZ, REVS, POINTS = 50_000.0, 16, 512
 ORDERS = (1.0, 5.5, 10.0, 40.0)
 
 
-def decoded(pulse_s: np.ndarray, pulses_per_rev: int, *, noise_s: float, edge_step_s: float = 0.0) -> xr.Dataset:
+def decoded(pulse_s, pulses_per_rev, *, noise_s, edge_step_s=0.0):
     """ShaftAngle of pulses that are complete, with what the audit asks of its attributes."""
     knots = angle_knots(
         pulse_s, np.arange(pulse_s.size), teeth_per_rev=pulses_per_rev, noise_s=noise_s, settings=SETTINGS
@@ -42,12 +42,12 @@ def decoded(pulse_s: np.ndarray, pulses_per_rev: int, *, noise_s: float, edge_st
     return xr.Dataset({name: ("knot", value, {"units": unit}) for name, (value, unit) in values.items()}, attrs=attrs)
 
 
-def rounded(pulse_s: np.ndarray) -> np.ndarray:
+def rounded(pulse_s):
     """Times of edges that lie between two samples, taken half-way."""
     return (np.ceil(pulse_s * RATE_HZ) - 0.5) / RATE_HZ
 
 
-def achieved(shaft_dataset: xr.Dataset, true, pulses_per_rev: int) -> dict[str, np.ndarray]:
+def achieved(shaft_dataset, true, pulses_per_rev):
     """Loss and largest sideband of lines at ORDERS, in frames by the decoded angle."""
     knots = knots_of(shaft_dataset)
     first = np.ceil(knots["knot_angle_rev"][0] + 2)
@@ -64,11 +64,11 @@ def achieved(shaft_dataset: xr.Dataset, true, pulses_per_rev: int) -> dict[str, 
     return {name: np.array(values) for name, values in result.items()}
 
 
-def audit_of(shaft_dataset: xr.Dataset):
+def audit_of(shaft_dataset):
     return reference_audit(shaft_dataset, orders=ORDERS, revs_per_frame=REVS, settings=SETTINGS)
 
 
-def expected_of(*causes: Modulation) -> dict[str, np.ndarray]:
+def expected_of(*causes):
     """What lines at ORDERS are expected to suffer from ``causes``, as :func:`achieved` gives it."""
     order = np.array(ORDERS)
     return {
@@ -77,7 +77,7 @@ def expected_of(*causes: Modulation) -> dict[str, np.ndarray]:
     }
 
 
-def assert_within_factor(expected: np.ndarray, found: np.ndarray, factor: float) -> None:
+def assert_within_factor(expected, found, factor):
     ratio = expected / found
     assert np.all((ratio > 1 / factor) & (ratio < factor)), ratio
 

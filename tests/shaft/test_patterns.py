@@ -17,7 +17,7 @@ from crankorder.shaft.repair import running_part
 from crankorder.shaft.tooth_errors import same_wheel, speed_swing, stated_teeth, tooth_errors
 from crankorder.shaft.uneven_wheel import find_pattern
 from crankorder.shaft.wheel import number_teeth
-from crankorder.synth.crank import lag_by_order
+from crankorder.synth.lines import lag_by_order
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import SpeedOrder
 
@@ -389,14 +389,14 @@ def test_drift_of_the_speed_leaves_no_pattern_and_touches_no_order():
 
 
 def swinging(
-    lines: dict[float, float],
+    lines,
     *,
-    rpm: float = 1500.0,
-    per_rev: int = 30,
-    seconds: float = 3.0,
-    slope: float = 0.0,
-    noise_rpm: float = 0.0,
-) -> xr.Dataset:
+    rpm=1500.0,
+    per_rev=30,
+    seconds=3.0,
+    slope=0.0,
+    noise_rpm=0.0,
+):
     """ShaftAngle with a speed of ``rpm`` + ``slope`` t and ``lines`` (order: peak in rpm) by the angle."""
     rng = np.random.default_rng(4)
     shares = [(order, 100.0 * size / rpm, rng.uniform(0.0, 360.0)) for order, size in lines.items()]
@@ -415,7 +415,7 @@ def swinging(
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(4))
-def test_orders_and_amplitudes_are_those_that_were_put_in(seed: int) -> None:
+def test_orders_and_amplitudes_are_those_that_were_put_in(seed):
     rng = np.random.default_rng(seed)
     rpm = rng.uniform(600, 4000)
     lines = {order: rpm * rng.uniform(0.002, 0.02) for order in (0.5, 1.0, 2.0, 3.5)}
@@ -428,17 +428,17 @@ def test_orders_and_amplitudes_are_those_that_were_put_in(seed: int) -> None:
         assert swing.amplitude_rpm[at] == pytest.approx(size, rel=0.02, abs=2e-4 * rpm)
 
 
-def test_a_run_up_without_swing_has_none() -> None:
+def test_a_run_up_without_swing_has_none():
     swing = speed_swing(swinging({}, slope=200.0))
     assert swing is not None and not swing.told.any()
 
 
-def test_noise_of_the_edges_is_no_swing() -> None:
+def test_noise_of_the_edges_is_no_swing():
     swing = speed_swing(swinging({}, noise_rpm=15.0, seconds=6.0))
     assert swing is not None and not swing.told.any()
 
 
-def test_nothing_is_said_without_pulses_or_cycles_or_knots() -> None:
+def test_nothing_is_said_without_pulses_or_cycles_or_knots():
     shaft = swinging({0.5: 20.0}, seconds=1.0)
     shaft.attrs["n_pulses"] = 0
     assert speed_swing(shaft) is None

@@ -248,7 +248,7 @@ def test_a_coasting_genset_slows_down_without_a_repair(genset_pickup, recording_
     assert not {"encoder_missing_pulse", "encoder_double_pulse"} & {item["flag"] for item in flags_of(angle)}
 
 
-def rotor_files(data: Path) -> list[Path]:
+def rotor_files(data):
     return sorted((data / "rotorbalancer").glob("*/*.csv"))
 
 

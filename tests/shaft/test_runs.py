@@ -1,7 +1,6 @@
 """A test that stops and starts again: both runs stand on one angle."""
 
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,7 +43,7 @@ def test_the_angle_goes_on_rightly_after_a_standstill():
         assert np.abs(found - tooth / teeth)[fast].max() < 0.3 / teeth
 
 
-def test_a_stop_after_a_few_pulses_of_one_per_revolution_is_one() -> None:
+def test_a_stop_after_a_few_pulses_of_one_per_revolution_is_one():
     # four pulses slow down into the stop, thirteen speed up out of it, no interval as long as a standing shaft's
     step = [0.139, 0.181, 0.375, 0.903, 0.184, 0.141, 0.118, 0.104, 0.094, 0.087, 0.081, 0.076, 0.072, 0.068, 0.065]
     time_s = np.cumsum([0.05, *step, 0.062])
@@ -56,14 +55,14 @@ def test_a_stop_after_a_few_pulses_of_one_per_revolution_is_one() -> None:
 RATE_HZ = 4000
 
 
-def course(*legs: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def course(*legs):
     """Speed [rpm] and angle [rev] of samples whose speed ``legs`` join straight: seconds, speed at the end."""
     ends_s, speeds = np.cumsum([seconds for seconds, _ in legs]), [speed for _, speed in legs]
     speed = np.interp(np.arange(int(ends_s[-1] * RATE_HZ)) / RATE_HZ, ends_s, speeds)
     return speed, np.cumsum(speed) / 60.0 / RATE_HZ
 
 
-def written(folder: Path, kind: str, speed: np.ndarray, angle: np.ndarray) -> Path:
+def written(folder, kind, speed, angle):
     """A folder with 2 and 1 of orders 1 and 4 while the shaft turns, noise, and a shaft told by ``kind``."""
     folder.mkdir()
     turns = 2.0 * np.cos(2 * np.pi * angle) + np.cos(8 * np.pi * angle)
@@ -83,7 +82,7 @@ def written(folder: Path, kind: str, speed: np.ndarray, angle: np.ndarray) -> Pa
 
 
 @pytest.mark.parametrize("kind", ["speed", "pulse_times"])
-def test_a_stop_between_two_runs_leaves_the_amplitudes_right(tmp_path: Path, kind: str) -> None:
+def test_a_stop_between_two_runs_leaves_the_amplitudes_right(tmp_path, kind):
     told = course((0.0, 1500.0), (3.0, 1600.0), (1.0, 0.0), (3.0, 0.0), (1.0, 1500.0), (3.0, 1700.0))
     found = analysed(written(tmp_path / "in", kind, *told), tmp_path / "out", "--no-pictures")
     assert "standstill" in {one["flag"] for one in found["quality"]}
@@ -92,13 +91,13 @@ def test_a_stop_between_two_runs_leaves_the_amplitudes_right(tmp_path: Path, kin
     assert amplitudes == {1.0: pytest.approx(2.0, rel=off), 4.0: pytest.approx(1.0, rel=off)}
 
 
-def test_a_slow_stop_whose_rows_hold_no_order_at_one_speed_is_analysed(tmp_path: Path) -> None:
+def test_a_slow_stop_whose_rows_hold_no_order_at_one_speed_is_analysed(tmp_path):
     told = course((0.0, 162.0), (1.0, 162.0), (3.0, 0.0), (0.05, 0.0))
     found = analysed(written(tmp_path / "in", "pulse_times", *told), tmp_path / "out", "--no-pictures")
     assert found["orders"]
 
 
-def test_a_speed_that_stands_is_left_out_of_the_angle(recording_of) -> None:
+def test_a_speed_that_stands_is_left_out_of_the_angle(recording_of):
     speed, angle = course((0.0, 0.0), (3.0, 0.0), (0.05, 600.0), (0.5, 600.0), (0.05, 0.0), (2.0, 0.0))
     recording = recording_of(np.empty(0), encoder_kind="speed", rate_hz=float(RATE_HZ)).drop_vars("signal")
     recording["speed_signal"] = ("time", speed)
@@ -109,7 +108,7 @@ def test_a_speed_that_stands_is_left_out_of_the_angle(recording_of) -> None:
     assert np.ptp(shaft["crank_angle"].values) == pytest.approx(angle[-1], abs=0.3)
 
 
-def test_a_hole_of_more_than_a_few_pulses_at_one_speed_is_not_filled() -> None:
+def test_a_hole_of_more_than_a_few_pulses_at_one_speed_is_not_filled():
     time_s = np.concatenate([np.arange(0.0, 3.0, 0.04), np.arange(6.0, 9.5, 0.04)])
     parts, flags = running_parts(time_s, pulses_per_rev=1, joined=True)
     assert [(part.start, part.stop) for part in parts] == [(75, time_s.size)]
@@ -122,7 +121,7 @@ def test_a_hole_of_more_than_a_few_pulses_at_one_speed_is_not_filled() -> None:
 RATE_HZ_SILENT, LENGTH_S = 2048.0, 20.0
 
 
-def remarks(rpm_of, *, first_s: float = 0.0, last_s: float = LENGTH_S, teeth: int = 60):
+def remarks(rpm_of, *, first_s=0.0, last_s=LENGTH_S, teeth=60):
     """Remarks on a machine of speed ``rpm_of`` (time) whose encoder is silent but from ``first_s`` to ``last_s``."""
     time_s = np.arange(round(LENGTH_S * RATE_HZ_SILENT)) / RATE_HZ_SILENT
     rpm = rpm_of(time_s)
@@ -154,7 +153,7 @@ def to_rest(time_s):
     return np.maximum(1800.0 - 150.0 * time_s, 0.0)
 
 
-def test_an_encoder_that_dies_or_starts_late_is_suspect_and_the_lost_time_is_told() -> None:
+def test_an_encoder_that_dies_or_starts_late_is_suspect_and_the_lost_time_is_told():
     for teeth, rpm_of in product([1, 60], [steady, run_up]):
         ((name, severity, detail),) = remarks(rpm_of, last_s=6.0, teeth=teeth)
         assert (name, severity) == ("no_pulses", "suspect")
@@ -164,7 +163,7 @@ def test_an_encoder_that_dies_or_starts_late_is_suspect_and_the_lost_time_is_tol
     assert (name, severity) == ("no_pulses", "suspect") and detail.startswith("no pulses from 0 s to 5")
 
 
-def test_a_machine_that_comes_to_rest_or_starts_from_it_is_no_fault_of_the_encoder_for_certain() -> None:
+def test_a_machine_that_comes_to_rest_or_starts_from_it_is_no_fault_of_the_encoder_for_certain():
     from_rest = remarks(lambda time_s: to_rest(LENGTH_S - time_s))
     for made in (remarks(to_rest), remarks(to_rest, teeth=1), from_rest):
         assert all(severity == "info" and "standstill or encoder lost" in detail for _, severity, detail in made)

@@ -3,7 +3,6 @@
 import wave
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,7 +12,7 @@ from scipy.io import loadmat
 from crankorder.errors import InputError
 from crankorder.settings import load_settings
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.vibration_speed import FOUR_STROKE_WEIGHTS, VibrationSpeed, speed_from_vibration, trusted_angle
+from crankorder.shaft.vibration_speed import FOUR_STROKE_WEIGHTS, speed_from_vibration, trusted_angle
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
 from crankorder.synth.recording import synthesise
@@ -24,14 +23,14 @@ Motion = Callable[[np.ndarray], np.ndarray]
 
 
 def vibration(
-    angle_rev: Motion,
-    duration_s: float,
+    angle_rev,
+    duration_s,
     *,
-    orders: dict[float, float],
-    noise: float = 0.35,
-    tones: dict[float, float] | None = None,
-    seed: int = 1,
-) -> np.ndarray:
+    orders,
+    noise=0.35,
+    tones=None,
+    seed=1,
+):
     """One channel of orders ``{order: amplitude}`` in white noise of the given standard deviation, with tones [Hz]."""
     time_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     signal = noise * np.random.default_rng(seed).standard_normal(time_s.size)
@@ -42,20 +41,20 @@ def vibration(
     return signal[None]
 
 
-def steady(speed_hz: float) -> Motion:
+def steady(speed_hz):
     return lambda time_s: speed_hz * time_s
 
 
-def sweep(first_hz: float, last_hz: float, duration_s: float) -> Motion:
+def sweep(first_hz, last_hz, duration_s):
     return lambda time_s: first_hz * time_s + (last_hz - first_hz) / duration_s * time_s**2 / 2
 
 
-def wobbling(speed_hz: float, share: float, wobble_hz: float) -> Motion:
+def wobbling(speed_hz, share, wobble_hz):
     turn = share * speed_hz / (2 * np.pi * wobble_hz)
     return lambda time_s: speed_hz * time_s - turn * np.cos(2 * np.pi * wobble_hz * time_s)
 
 
-def speed_rpm(angle_rev: Motion, time_s: np.ndarray) -> np.ndarray:
+def speed_rpm(angle_rev, time_s):
     return 60.0 * (angle_rev(time_s + 1e-4) - angle_rev(time_s - 1e-4)) / 2e-4
 
 
@@ -71,12 +70,12 @@ MOTIONS = {
 
 
 @cache
-def followed(name: str) -> VibrationSpeed:
+def followed(name):
     return speed_from_vibration(vibration(MOTIONS[name], 10.0, orders=SOME), RATE_HZ, settings=SETTINGS)
 
 
 @pytest.mark.parametrize("name", MOTIONS)
-def test_speed_follows_a_known_motion_and_is_unsure_where_it_does_not(name: str) -> None:
+def test_speed_follows_a_known_motion_and_is_unsure_where_it_does_not(name):
     found = followed(name)
     error = np.abs(found.speed_rpm / speed_rpm(MOTIONS[name], found.time_s) - 1.0)
     assert np.median(error) < 0.002
@@ -87,7 +86,7 @@ def test_speed_follows_a_known_motion_and_is_unsure_where_it_does_not(name: str)
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize(("name", "within_deg"), [("run-up", 3.0), ("steady", 0.8), ("wobbling", 1.5)])
-def test_the_angle_is_told_within_a_few_degrees_and_its_standard_error_is_honest(name: str, within_deg: float) -> None:
+def test_the_angle_is_told_within_a_few_degrees_and_its_standard_error_is_honest(name, within_deg):
     knots = followed(name).knots
     away = knots.angle_rev - MOTIONS[name](knots.time_s)
     middle = away.size // 2
@@ -99,7 +98,7 @@ def test_the_angle_is_told_within_a_few_degrees_and_its_standard_error_is_honest
     assert np.mean(missed < 2.0) > 0.85 and np.mean(missed < 3.0) > 0.9
 
 
-def test_tones_that_hold_still_do_not_attract_a_sweep() -> None:
+def test_tones_that_hold_still_do_not_attract_a_sweep():
     signal = vibration(MOTIONS["run-up"], 10.0, orders=SOME, tones={50.0: 1.0, 150.0: 0.5, 236.0: 1.0})
     found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
     error = np.abs(found.speed_rpm / speed_rpm(MOTIONS["run-up"], found.time_s) - 1.0)
@@ -107,7 +106,7 @@ def test_tones_that_hold_still_do_not_attract_a_sweep() -> None:
     assert not ((error > 0.02) & (found.confidence > 0.8)).any()
 
 
-def test_even_orders_alone_are_a_tie_that_half_the_found_speed_explains_too() -> None:
+def test_even_orders_alone_are_a_tie_that_half_the_found_speed_explains_too():
     found = speed_from_vibration(vibration(steady(30.0), 5.0, orders=EVEN), RATE_HZ, settings=SETTINGS)
     assert np.median(found.speed_rpm) == pytest.approx(3600.0, rel=1e-3)
     assert [tie.ratio for tie in found.ties][:1] == [0.5]
@@ -116,7 +115,7 @@ def test_even_orders_alone_are_a_tie_that_half_the_found_speed_explains_too() ->
     assert found.confidence.max() < 0.85
 
 
-def test_what_is_known_of_the_machine_decides_the_tie() -> None:
+def test_what_is_known_of_the_machine_decides_the_tie():
     rows = [
         {"order_weights": {1.0: 0.1, 2.0: 0.9, 3.0: 0.1, 4.0: 0.9, 6.0: 0.8, 8.0: 0.5}},
         {"expected_rpm": (1000.0, 2500.0)},
@@ -128,7 +127,7 @@ def test_what_is_known_of_the_machine_decides_the_tie() -> None:
         assert 2.0 not in {tie.ratio for tie in found.ties}
 
 
-def test_noise_alone_tells_no_speed() -> None:
+def test_noise_alone_tells_no_speed():
     seed = 1
     signal = vibration(steady(30.0), 4.0, orders={}, seed=seed)
     found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
@@ -136,7 +135,7 @@ def test_noise_alone_tells_no_speed() -> None:
     assert ("speed_doubtful", "bad") in {(flag, severity) for flag, severity, _ in found.remarks}
 
 
-def test_an_angle_is_refused_where_the_speed_is_a_guess_and_given_where_it_is_not() -> None:
+def test_an_angle_is_refused_where_the_speed_is_a_guess_and_given_where_it_is_not():
     ends = []
     for seed in range(8):
         signal = vibration(steady(30.0), 3.0, orders=SOME, seed=seed)
@@ -149,7 +148,7 @@ def test_an_angle_is_refused_where_the_speed_is_a_guess_and_given_where_it_is_no
         trusted_angle(guess)
 
 
-def test_units_do_not_matter_and_the_same_input_gives_the_same_bytes() -> None:
+def test_units_do_not_matter_and_the_same_input_gives_the_same_bytes():
     signal = np.concatenate([vibration(steady(30.0), 3.0, orders=SOME, seed=seed) for seed in (1, 2)])
     first = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
     again = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
@@ -159,14 +158,14 @@ def test_units_do_not_matter_and_the_same_input_gives_the_same_bytes() -> None:
     np.testing.assert_allclose(scaled.speed_rpm, first.speed_rpm, rtol=1e-6)
 
 
-def test_a_dead_channel_changes_nothing() -> None:
+def test_a_dead_channel_changes_nothing():
     signal = vibration(steady(30.0), 3.0, orders=SOME)
     alone = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
     beside = speed_from_vibration(np.vstack([signal, np.full_like(signal, 3.0)]), RATE_HZ, settings=SETTINGS)
     np.testing.assert_array_equal(beside.speed_rpm, alone.speed_rpm)
 
 
-def test_a_signal_that_cannot_tell_a_speed_is_refused() -> None:
+def test_a_signal_that_cannot_tell_a_speed_is_refused():
     rows = [
         (np.zeros((2, 8192)), "constant"),
         (np.full((1, 8192), np.nan), "not finite"),
@@ -177,7 +176,7 @@ def test_a_signal_that_cannot_tell_a_speed_is_refused() -> None:
             speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
 
 
-def test_a_firing_engine_is_followed_to_a_part_in_a_thousand() -> None:
+def test_a_firing_engine_is_followed_to_a_part_in_a_thousand():
     scene = load_scene("thesis-second-firing").first_look()
     run = scene.runs[0]
     rate_hz = scene.rate_hz(run.speed_rpm)
@@ -188,7 +187,7 @@ def test_a_firing_engine_is_followed_to_a_part_in_a_thousand() -> None:
 
 
 @pytest.mark.slow
-def test_a_measured_car_run_up_agrees_with_its_speed_track(shared_data: Path) -> None:
+def test_a_measured_car_run_up_agrees_with_its_speed_track(shared_data):
     with wave.open(str(shared_data / "ansys_accel" / "accel_with_rpm.wav")) as file:
         rate_hz, frames = file.getframerate(), file.readframes(file.getnframes())
     pressure, speed = np.frombuffer(frames, dtype="<i2").reshape(-1, 2).T / 32768.0 * [[0.99655], [4821.43]]
@@ -200,7 +199,7 @@ def test_a_measured_car_run_up_agrees_with_its_speed_track(shared_data: Path) ->
 
 
 @pytest.mark.slow
-def test_measured_rotor_coast_downs_agree_with_their_tach(shared_data: Path) -> None:
+def test_measured_rotor_coast_downs_agree_with_their_tach(shared_data):
     for path in sorted((shared_data / "rotorbalancer" / "2020-04_stepped").glob("*.csv"))[::6]:
         table = pd.read_csv(path, comment="#")
         tach = table["ir"].to_numpy()
@@ -219,7 +218,7 @@ def test_measured_rotor_coast_downs_agree_with_their_tach(shared_data: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_measured_bearing_rig_turns_as_its_file_says(shared_data: Path) -> None:
+def test_a_measured_bearing_rig_turns_as_its_file_says(shared_data):
     for name in ("0.007-InnerRace", "0.021-OuterRace6"):
         table = loadmat(shared_data / "cwru_12k_de_1750" / f"{name}.mat")
         (stated_rpm,) = (float(table[key].item()) for key in table if key.endswith("RPM"))

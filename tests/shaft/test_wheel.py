@@ -165,13 +165,13 @@ def test_an_index_without_a_place_gives_no_phase_and_says_so(known_shaft, record
             assert np.diff(reached) == pytest.approx(np.diff(shaft.angle_rev(pulse_s[[0, -1]])), abs=1e-4)
 
 
-def _from_rest(rpm_per_s: float, rev: float, teeth: int, rate_hz: float) -> np.ndarray:
+def _from_rest(rpm_per_s, rev, teeth, rate_hz):
     """Times at which ``teeth`` per revolution pass over ``rev`` revolutions of even acceleration, as sampled."""
     angle = np.arange(0.3 / teeth, rev, 1.0 / teeth)
     return np.ceil(np.sqrt(2.0 * angle * 60.0 / rpm_per_s) * rate_hz) / rate_hz
 
 
-def test_a_wheel_that_starts_from_rest_is_counted_to_its_first_tooth() -> None:
+def test_a_wheel_that_starts_from_rest_is_counted_to_its_first_tooth():
     for rpm_per_s in [150.0, 440.0, 900.0]:
         time_s = _from_rest(rpm_per_s, 20.0, 60, 8192.0)
         found = number_teeth(time_s, pulses_per_rev=60, settings=SETTINGS)
@@ -180,7 +180,7 @@ def test_a_wheel_that_starts_from_rest_is_counted_to_its_first_tooth() -> None:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("jitter", [0.17, 0.1])
-def test_a_jittering_encoder_is_counted_to_its_last_pulse(jitter: float) -> None:
+def test_a_jittering_encoder_is_counted_to_its_last_pulse(jitter):
     rng = np.random.default_rng(20)
     number = np.arange(200_000)
     time_s = np.sort((number + jitter * rng.standard_normal(number.size)) / 18_000.0)
@@ -347,7 +347,7 @@ def test_an_encoder_with_too_few_samples_per_tooth_is_bad_and_says_when():
 RATE_HZ = 2000.0
 
 
-def _stopped(noise_rpm: float) -> tuple[np.ndarray, float]:
+def _stopped(noise_rpm):
     """A speed that falls from 900 rpm to 0, stays for 2 s and rises again, and the revolutions it makes."""
     time = np.arange(0.0, 6.0, 1.0 / RATE_HZ)
     speed = np.interp(time, [0.0, 2.0, 4.0, 6.0], [900.0, 0.0, 0.0, 900.0])
@@ -355,7 +355,7 @@ def _stopped(noise_rpm: float) -> tuple[np.ndarray, float]:
     return speed + noise, float(speed.sum() / RATE_HZ / 60.0)
 
 
-def test_the_noise_of_a_shaft_that_stands_does_not_add_up() -> None:
+def test_the_noise_of_a_shaft_that_stands_does_not_add_up():
     speed, revs = _stopped(5.0)
     knots, flags = integrated_speed(speed, rate_hz=RATE_HZ, settings=SETTINGS)
     # cut off at 0 it would have added 0.067 rev
@@ -363,7 +363,7 @@ def test_the_noise_of_a_shaft_that_stands_does_not_add_up() -> None:
     assert flags == [] and (np.diff(knots.angle_rev) > 0.0).all() and (np.diff(knots.time_s) > 0.0).all()
 
 
-def test_a_shaft_that_turns_back_is_flagged_and_taken_to_stand() -> None:
+def test_a_shaft_that_turns_back_is_flagged_and_taken_to_stand():
     speed, revs = _stopped(0.5)
     speed[5000:6000] = -100.0
     knots, flags = integrated_speed(speed, rate_hz=RATE_HZ, settings=SETTINGS)

@@ -1,8 +1,5 @@
 """A small test bed of which a test takes only the effects it needs."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import pytest
 
 from crankorder.synth.load import load_scene
@@ -78,10 +75,10 @@ m_s2_per_root_hz = [0.03, 0.001]
 
 
 @pytest.fixture
-def scene_with(tmp_path: Path) -> Callable[..., Scene]:
+def scene_with(tmp_path):
     """Scene of the small test bed with the named effects only, and with what else a test adds to it."""
 
-    def make(*effects: str, **more: object) -> Scene:
+    def make(*effects, **more):
         text = SMALL.replace("msu-optical-second", "msu-optical-second-firing") if "gas_torque" in effects else SMALL
         path = tmp_path / "scene.toml"
         path.write_text(text + "".join(EFFECTS[effect] for effect in effects))
@@ -92,7 +89,7 @@ def scene_with(tmp_path: Path) -> Callable[..., Scene]:
 
 
 @pytest.fixture
-def small_scene(tmp_path: Path) -> Path:
+def small_scene(tmp_path):
     """File of a scene with every effect but the gas, which its engine lacks."""
     path = tmp_path / "small.toml"
     path.write_text(SMALL + "".join(text for effect, text in EFFECTS.items() if effect != "gas_torque"))

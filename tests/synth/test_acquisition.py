@@ -1,7 +1,5 @@
 """Clock, converter and number types, and what ingest makes of the files."""
 
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
@@ -11,24 +9,24 @@ from crankorder.errors import RequestError
 from crankorder.ingest import hdf5
 from crankorder.ingest.units import parse_sensitivity, unit_of
 from crankorder.settings import load_settings
-from crankorder.synth.analogue import analogue_filter, high_pass, low_pass, recorded, true_rate_hz
 from crankorder.synth.parts import Acquisition
+from crankorder.synth.poles import analogue_filter, high_pass, low_pass, recorded, true_rate_hz
 
 RNG = np.random.default_rng(5)
 PER_SAMPLE = 0.02 * (np.sqrt(5) - 1) / 2
 """Periods of the sine per sample: golden, so that no phase comes again."""
 
 
-def sine(peak: float, *, n: int = 20_000) -> np.ndarray:
+def sine(peak, *, n=20_000):
     return peak * np.sin(2 * np.pi * PER_SAMPLE * np.arange(n))[None, :]
 
 
-def test_a_clock_that_runs_fast_takes_more_samples_per_second_than_its_label_says() -> None:
+def test_a_clock_that_runs_fast_takes_more_samples_per_second_than_its_label_says():
     assert true_rate_hz(Acquisition(clock_error_ppm=100.0), 50_000.0) == pytest.approx(50_005.0, rel=1e-15)
     assert true_rate_hz(Acquisition(), 51_200.0) == 51_200.0
 
 
-def test_volts_come_back_as_m_s2_through_the_sensitivity_that_ingest_reads() -> None:
+def test_volts_come_back_as_m_s2_through_the_sensitivity_that_ingest_reads():
     signal = RNG.normal(size=(1, 100))
     made = recorded(signal, Acquisition(sensitivity_mv_per_g=100.0, stored_as="float64"))
     assert made.unit == "V"
@@ -37,7 +35,7 @@ def test_volts_come_back_as_m_s2_through_the_sensitivity_that_ingest_reads() -> 
     assert recorded(np.full((1, 1), 9.80665), Acquisition(sensitivity_mv_per_g=100.0)).samples[0, 0] == np.float32(0.1)
 
 
-def test_rounding_to_steps_is_noise_of_a_step_over_root_12() -> None:
+def test_rounding_to_steps_is_noise_of_a_step_over_root_12():
     for bits in (8, 16, 24):
         signal = RNG.uniform(-9.9, 9.9, size=(1, 400_000))
         made = recorded(signal, Acquisition(full_scale=10.0, bits=bits, stored_as="float64"))
@@ -48,7 +46,7 @@ def test_rounding_to_steps_is_noise_of_a_step_over_root_12() -> None:
         assert np.abs(error).max() <= step / 2 * (1 + 1e-6)
 
 
-def test_the_converter_is_mid_tread_with_one_code_more_below_than_above() -> None:
+def test_the_converter_is_mid_tread_with_one_code_more_below_than_above():
     signal = np.array([[0.0, 0.49, 0.51, -0.49, -0.51, 6.6, 7.4, 7.6, 8.0, 99.0, -8.4, -8.6, -99.0]])
     made = recorded(signal, Acquisition(full_scale=8.0, bits=4, stored_as="int16"))
     assert made.samples.tolist() == [[0, 0, 1, 0, -1, 7, 7, 7, 7, 7, -8, -8, -8]]
@@ -56,7 +54,7 @@ def test_the_converter_is_mid_tread_with_one_code_more_below_than_above() -> Non
     assert made.clipped_share.tolist() == [5 / 13]
 
 
-def test_int16_codes_come_back_through_the_hdf5_reader(tmp_path: Path) -> None:
+def test_int16_codes_come_back_through_the_hdf5_reader(tmp_path):
     for bits in (None, 12):
         signal = sine(4.2)
         acquisition = Acquisition(sensitivity_mv_per_g=500.0, full_scale=2.5, bits=bits, stored_as="int16")
@@ -72,7 +70,7 @@ def test_int16_codes_come_back_through_the_hdf5_reader(tmp_path: Path) -> None:
         assert raw.units["acc"] == "V"
 
 
-def test_a_missing_sample_stays_missing_in_floats_and_is_refused_in_int16() -> None:
+def test_a_missing_sample_stays_missing_in_floats_and_is_refused_in_int16():
     signal = sine(1.0)
     signal[0, 7] = np.nan
     made = recorded(signal, Acquisition(full_scale=2.0, bits=16))
@@ -84,7 +82,7 @@ def test_a_missing_sample_stays_missing_in_floats_and_is_refused_in_int16() -> N
 # Filters before the converter: against scipy's, and joined by residues.
 
 
-def test_a_low_pass_is_the_butterworth_filter_of_scipy_in_amplitude_and_phase() -> None:
+def test_a_low_pass_is_the_butterworth_filter_of_scipy_in_amplitude_and_phase():
     frequency = np.geomspace(10.0, 1e5, 500)
     for order in range(1, 13):
         poles = scipy_signal.butter(order, 2 * np.pi * 3000, analog=True, output="zpk")
@@ -92,14 +90,14 @@ def test_a_low_pass_is_the_butterworth_filter_of_scipy_in_amplitude_and_phase() 
         assert low_pass(order, 3000.0).response(frequency) == pytest.approx(theirs, abs=2e-13, rel=0), order
 
 
-def test_ac_coupling_takes_a_constant_away_and_has_3_db_at_its_corner() -> None:
+def test_ac_coupling_takes_a_constant_away_and_has_3_db_at_its_corner():
     at_zero, corner, above = high_pass(0.5).response(np.array([0.0, 0.5, 5000.0]))
     assert at_zero == 0
     assert corner == pytest.approx(0.5 + 0.5j, abs=1e-14)
     assert above == pytest.approx(1 + 1e-4j, abs=1e-7)
 
 
-def test_white_noise_folds_to_the_sum_of_all_images() -> None:
+def test_white_noise_folds_to_the_sum_of_all_images():
     rate, filter_ = 1000.0, low_pass(3, 450.0)
     frequency = np.linspace(0, rate / 2, 11)
     images = np.abs(frequency[:, None] + rate * np.arange(-400, 401))
@@ -107,20 +105,20 @@ def test_white_noise_folds_to_the_sum_of_all_images() -> None:
     assert filter_.folded_power(rate, frequency) == pytest.approx(brute, rel=1e-12)
 
 
-def test_a_filter_that_lets_the_highest_frequencies_through_has_no_folded_power() -> None:
+def test_a_filter_that_lets_the_highest_frequencies_through_has_no_folded_power():
     with pytest.raises(ValueError, match="infinite"):
         high_pass(1.0).folded_power(1000.0, np.zeros(1))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("coupling_hz", [100.0, 250.0, 100.0 * (1 - 1e-9)])
-def test_ac_coupling_at_or_above_the_low_pass_is_refused_in_words(coupling_hz: float) -> None:
+def test_ac_coupling_at_or_above_the_low_pass_is_refused_in_words(coupling_hz):
     with pytest.raises(RequestError, match=r"ac_coupling_hz.*below low_pass_hz, 100"):
         analogue_filter(Acquisition(low_pass_hz=100.0, low_pass_order=3, ac_coupling_hz=coupling_hz))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("order", "corner_hz"), [(0, 10.0), (13, 10.0), (4, 0.0), (4, float("nan"))])
-def test_an_impossible_low_pass_is_refused(order: int, corner_hz: float) -> None:
+def test_an_impossible_low_pass_is_refused(order, corner_hz):
     with pytest.raises(ValueError, match="order of 1"):
         low_pass(order, corner_hz)

@@ -1,6 +1,5 @@
 """Run-ups, wobbles and cycles against an integration of the same modes that shares nothing with the compiled one."""
 
-from collections.abc import Callable
 from itertools import pairwise, product
 
 import numpy as np
@@ -42,7 +41,7 @@ PUSHES = np.random.default_rng(3).normal(size=(6, 2, 5)) * np.array([0.0, 0.0, 0
 AT_RPM = 1000.0
 
 
-def lines(*, gas: bool = False) -> ForceLines:
+def lines(*, gas=False):
     omega = AT_RPM * np.pi / 30
     place, push = (part[:, 0] - 1j * part[:, 1] for part in (PLACES, PUSHES))
     return ForceLines(
@@ -52,7 +51,7 @@ def lines(*, gas: bool = False) -> ForceLines:
     )  # fmt: skip
 
 
-def plain_force(phi: float, omega: float, alpha: float, gas_gain: float = 1.0) -> np.ndarray:
+def plain_force(phi, omega, alpha, gas_gain=1.0):
     """Forces where the shaft is at ``phi`` (rad) with ``omega`` (rad/s) and ``alpha`` (rad/s²)."""
     cosine, sine = np.cos(ORDERS * phi), np.sin(ORDERS * phi)
     # d²/dt² of cos kφ is −kα sin kφ − (kω)² cos kφ, of sin kφ it is kα cos kφ − (kω)² sin kφ
@@ -63,21 +62,21 @@ def plain_force(phi: float, omega: float, alpha: float, gas_gain: float = 1.0) -
 
 
 def integrated(
-    force_of_time: Callable[[float], np.ndarray],
-    sample_s: np.ndarray,
+    force_of_time,
+    sample_s,
     *,
-    borders_s: tuple[float, ...],
-    start: np.ndarray,
-) -> np.ndarray:
+    borders_s,
+    start,
+):
     """Channels at ``sample_s``: q̈ + 2ζω q̇ + ω² q = drive·f from border to border, DOP853 with 1e-13."""
     found, state = [], start
     for begin, end in pairwise(borders_s):
         first, last = np.nextafter(begin, end), np.nextafter(end, begin)  # which formula holds is never in doubt
 
-        def force(time: float, first: float = first, last: float = last) -> np.ndarray:
+        def force(time, first=first, last=last):
             return force_of_time(min(max(time, first), last))
 
-        def motion(time: float, state: np.ndarray, force: Callable[[float], np.ndarray] = force) -> np.ndarray:
+        def motion(time, state, force=force):
             q, speed = state[:3], state[3:]
             return np.concatenate([speed, DRIVE @ force(time) - TWICE_DAMPING * speed - SQUARED * q])
 
@@ -89,7 +88,7 @@ def integrated(
     return np.array(found).T
 
 
-def channels(rates: np.ndarray, state: np.ndarray, force: np.ndarray) -> np.ndarray:
+def channels(rates, state, force):
     """Acceleration of the sensors; a complex residue also takes the mode's velocity, twice differentiated."""
     damped = OMEGA * np.sqrt(1 - ZETA**2)
     acceleration, speed = rates[3:], state[3:]
@@ -99,7 +98,7 @@ def channels(rates: np.ndarray, state: np.ndarray, force: np.ndarray) -> np.ndar
     return in_phase + turned + RIGID @ force
 
 
-def steady_start(rpm: float, phi: float) -> np.ndarray:
+def steady_start(rpm, phi):
     """Modes in the steady state of a constant speed, at the angle ``phi`` (rad)."""
     state = np.zeros(6)
     omega = rpm * np.pi / 30
@@ -113,10 +112,10 @@ def steady_start(rpm: float, phi: float) -> np.ndarray:
     return state
 
 
-def course(motion: Motion) -> Callable[[float], tuple[float, float, float]]:
+def course(motion):
     """Angle (rad), speed (rad/s) and acceleration (rad/s²) of a motion at one time."""
 
-    def at(time: float) -> tuple[float, float, float]:
+    def at(time):
         rev, rpm, rpm_per_s = (float(part[0]) for part in motion.at(np.array([time])))
         return 2 * np.pi * rev, rpm * np.pi / 30, rpm_per_s * np.pi / 30
 
@@ -134,7 +133,7 @@ PROFILES = {
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("name", PROFILES)
-def test_a_run_up_is_what_a_precise_integration_gives(name: str) -> None:
+def test_a_run_up_is_what_a_precise_integration_gives(name):
     corners, start_rev, n_samples = PROFILES[name], 0.3, 1300
     motion = Motion(start_rev=start_rev, corners=corners)
     at, times = course(motion), np.arange(n_samples) / RATE_HZ
@@ -149,7 +148,7 @@ def test_a_run_up_is_what_a_precise_integration_gives(name: str) -> None:
 
 
 @pytest.mark.parametrize("rpm", [60.0, 1234.5, -900.0, 9000.0])
-def test_at_a_constant_speed_the_response_is_the_accelerance_to_round_off(rpm: float) -> None:
+def test_at_a_constant_speed_the_response_is_the_accelerance_to_round_off(rpm):
     n_samples, start_rev = 10_000, 0.3
     motion = Motion(start_rev=start_rev, corners=((0.0, rpm),))
     found = driven_signal(POLES, [(lines(), motion)], rate_hz=RATE_HZ, n_samples=n_samples, tolerance=1e-14)
@@ -168,7 +167,7 @@ UNEVEN = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", UNEVEN)
-def test_an_uneven_rotation_has_its_past(name: str) -> None:
+def test_an_uneven_rotation_has_its_past(name):
     motion, at = UNEVEN[name], course(UNEVEN[name])
     times, past_s = np.arange(300) / RATE_HZ, 0.5
     expected = integrated(
@@ -181,13 +180,13 @@ def test_an_uneven_rotation_has_its_past(name: str) -> None:
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 
-def factor(cycle: np.ndarray) -> np.ndarray:
+def factor(cycle):
     return 1 + 0.3 * np.sin(5.0 * np.asarray(cycle) ** 2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("corners", [((0.02, 1500.0), (0.0801, 4000.0)), ((0.01, 1200.0), (0.1, -2400.0))])
-def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float, float], ...]) -> None:
+def test_gains_step_between_cycles_to_the_very_angle(corners):
     times, past_s, start_rev = np.arange(600) / RATE_HZ, 0.5, 0.3017
     motion = Motion(start_rev=start_rev, corners=corners)
     at = course(motion)
@@ -202,7 +201,7 @@ def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float,
             low, high = (middle, high) if (at(middle)[0] < target) == rising else (low, middle)
         inner.append(high)
 
-    def force(time: float) -> np.ndarray:
+    def force(time):
         phi, omega, alpha = at(time)
         return plain_force(phi, omega, alpha, float(factor(np.floor(phi / (4 * np.pi)))))
 
@@ -221,7 +220,7 @@ def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float,
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("gain", [None, factor], ids=["no gains", "gains"])
-def test_blocks_leave_no_seam(gain: Callable[[np.ndarray], np.ndarray] | None) -> None:
+def test_blocks_leave_no_seam(gain):
     shafts = [
         (lines(gas=True), Motion(start_rev=0.3, corners=((0.1, 600.0), (0.3, 3000.0)))),
         (lines(), Motion(start_rev=0.0, corners=((0.1003, -700.0), (0.2, -710.0)))),
@@ -246,7 +245,7 @@ def advance(poles, force, *, step_s, integration, state):
     return driven.advance(poles, force, growth=growth, taps=taps, integration=integration, state=state)
 
 
-def tone_error(pole_per_step: complex, phase_rad: float, integration: Integration) -> float:
+def tone_error(pole_per_step, phase_rad, integration):
     """Relative error of the steady response of a pole to a tone: both are known in closed form."""
     growth, taps = step_weights(np.array([pole_per_step]), 1.0, integration)
     samples = np.exp(1j * phase_rad * (np.arange(taps.shape[1]) - (integration.stencil // 2 - 1)))
@@ -254,7 +253,7 @@ def tone_error(pole_per_step: complex, phase_rad: float, integration: Integratio
     return abs(found * (1j * phase_rad - pole_per_step) - 1)
 
 
-def test_the_error_of_a_tone_is_within_its_bound_and_not_far_below() -> None:
+def test_the_error_of_a_tone_is_within_its_bound_and_not_far_below():
     poles = (-1e-4 + 2e-3j, -0.002 + 0.05j, -0.3 + 0.5j, -2 + 2j)
     for stencil, phase_rad, pole, substeps in product(STENCILS, (0.3, 0.6, 1.0), poles, (1, 3)):
         bound = interpolation_error(stencil, phase_rad)
@@ -262,7 +261,7 @@ def test_the_error_of_a_tone_is_within_its_bound_and_not_far_below() -> None:
         assert bound / 3 < error < bound + 1e-13, (stencil, phase_rad, pole, substeps)
 
 
-def test_the_chosen_integration_meets_its_tolerance_and_a_cheaper_one_does_not() -> None:
+def test_the_chosen_integration_meets_its_tolerance_and_a_cheaper_one_does_not():
     for share, tolerance in product((0.01, 0.2, 0.95, 3.0), (1e-3, 1e-9, 1e-12)):
         frequency = share * STEP_RATE_HZ / 2
         chosen = integration_for(frequency, STEP_RATE_HZ, tolerance)
@@ -273,7 +272,7 @@ def test_the_chosen_integration_meets_its_tolerance_and_a_cheaper_one_does_not()
         assert all(interpolation_error(way.stencil, phase / way.substeps) > tolerance for way in cheaper)
 
 
-def test_what_no_integration_can_follow_is_refused() -> None:
+def test_what_no_integration_can_follow_is_refused():
     with pytest.raises(RequestError, match="change too fast"):
         integration_for(2e6, STEP_RATE_HZ, 1e-12)
     with pytest.raises(RequestError, match="tolerance 1e-17"):
@@ -281,7 +280,7 @@ def test_what_no_integration_can_follow_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_ten_million_steps_do_not_drift() -> None:
+def test_ten_million_steps_do_not_drift():
     """A lightly damped mode at resonance, whose gain is that of 1/(1 − |e^{λh}|) = 10⁵ steps."""
     natural, damping, rate = 2 * np.pi * 60.0, 2e-3, 80_000.0
     pole = natural * (-damping + 1j * np.sqrt(1 - damping**2))

@@ -1,21 +1,17 @@
 """The encoder against the counts and angles that its motion implies, and as it is decoded."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.wheel import NumberedTeeth, number_teeth
+from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.encoder import (
-    EncoderSignals,
-    Pulses,
     encoder_signals,
     encoder_turn,
     passed_pulses,
@@ -23,7 +19,7 @@ from crankorder.synth.encoder import (
     wheel_of,
 )
 from crankorder.synth.motion import Motion
-from crankorder.synth.parts import AnyEncoderFault, DamagedLine, DoublePulses, Encoder, LostPulses
+from crankorder.synth.parts import DamagedLine, DoublePulses, Encoder, LostPulses
 from made.recordings import sampled as recording_of
 
 RATE_HZ = 50_000.0
@@ -40,19 +36,19 @@ UNEVEN = Motion(
 )
 
 
-def sampled(start_rev: float, speed_rpm: float, pulses: int = 360) -> tuple[np.ndarray, np.ndarray]:
+def sampled(start_rev, speed_rpm, pulses=360):
     return sampled_encoder(
         start_rev, speed_rpm, pulses_per_rev=pulses, high_v=5.0, rate_hz=RATE_HZ, n_samples=N_SAMPLES
     )
 
 
-def signals(motion: Motion, encoder: Encoder) -> EncoderSignals:
+def signals(motion, encoder):
     return encoder_signals(
         motion, encoder, (), seed=1, recording="made", stream="made", rate_hz=RATE_HZ, n_samples=N_SAMPLES
     )
 
 
-def decoded(made: EncoderSignals, encoder: Encoder) -> xr.Dataset:
+def decoded(made, encoder):
     """ShaftAngle as the pipeline makes it of these signals."""
     keys = ("pulses_per_rev", "missing_teeth", "ratio", "index_to_tdc_deg")
     attrs = {"encoder_kind": "square", "revs_per_cycle": 1, **{key: getattr(encoder, key) for key in keys}}
@@ -65,7 +61,7 @@ def decoded(made: EncoderSignals, encoder: Encoder) -> xr.Dataset:
     return shaft_angle(recording, settings=SHAFT)
 
 
-def angle_error_deg(motion: Motion, encoder: Encoder) -> np.ndarray:
+def angle_error_deg(motion, encoder):
     """Decoded less true crank angle, but for whole revolutions, without 0.05 s at either end."""
     shaft = decoded(signals(motion, encoder), encoder)
     assert shaft.attrs["phase_reference"] == "tdc"
@@ -79,7 +75,7 @@ def angle_error_deg(motion: Motion, encoder: Encoder) -> np.ndarray:
     [(THERE_AND_BACK, 2), (UNEVEN, 2), (Motion(start_rev=1.73181, corners=((0.0, 1234.5),)), 0)],
     ids=["reversal", "in-cycle", "steady"],
 )
-def test_the_level_is_a_function_of_angle_also_backwards(motion: Motion, missing: int) -> None:
+def test_the_level_is_a_function_of_angle_also_backwards(motion, missing):
     encoder = Encoder(pulses_per_rev=60, missing_teeth=missing, index_to_tdc_deg=10.0, ratio=2.0)
     made = signals(motion, encoder)
     place = encoder_turn(motion.at(TIME_S)[0], encoder) * 60
@@ -100,14 +96,14 @@ def test_the_level_is_a_function_of_angle_also_backwards(motion: Motion, missing
     ],
     ids=str,
 )
-def test_the_decoder_finds_the_angle_from_top_dead_centre(motion: Motion, wheel: dict[str, float]) -> None:
+def test_the_decoder_finds_the_angle_from_top_dead_centre(motion, wheel):
     """At 2500 rpm one sample is 0.3°: marks that lie between samples are uncertain by half of that."""
     error = angle_error_deg(motion, Encoder.model_validate(wheel))
     assert np.abs(error).max() < 0.4
     assert np.abs(error.mean()) < 0.15
 
 
-def test_a_shaft_that_stands_still_keeps_its_level() -> None:
+def test_a_shaft_that_stands_still_keeps_its_level():
     stop = Motion(start_rev=0.3, corners=((1.0, 600.0), (2.0, 0.0)))
     trace = signals(stop, Encoder(pulses_per_rev=60)).trace
     assert np.ptp(trace[100_001:]) == 0
@@ -121,15 +117,15 @@ TURNING = Motion(start_rev=0.321, corners=((0.5, 600.0), (4.5, 3000.0)), wobbles
 DURATION_S = 5.0
 
 
-def pulses_of(encoder: Encoder, motion: Motion, seed: int = 1) -> Pulses:
+def pulses_of(encoder, motion, seed=1):
     return passed_pulses(wheel_of(encoder, seed=seed), motion, encoder, duration_s=DURATION_S)
 
 
-def turn_at(time_s: np.ndarray, motion: Motion, encoder: Encoder) -> np.ndarray:
+def turn_at(time_s, motion, encoder):
     return encoder_turn(motion.at(time_s)[0], encoder)
 
 
-def test_every_line_comes_when_the_shaft_is_at_its_angle() -> None:
+def test_every_line_comes_when_the_shaft_is_at_its_angle():
     for ratio in (0.5, 1.0, 2.0):
         encoder = Encoder(pulses_per_rev=60, ratio=ratio, index_to_tdc_deg=37.0)
         pulses = pulses_of(encoder, TURNING)
@@ -142,7 +138,7 @@ def test_every_line_comes_when_the_shaft_is_at_its_angle() -> None:
 
 
 @pytest.mark.parametrize("amplitude_deg", [0.4, 40.0])
-def test_an_eccentric_wheel_shows_its_turn_and_a_sine_of_it(amplitude_deg: float) -> None:
+def test_an_eccentric_wheel_shows_its_turn_and_a_sine_of_it(amplitude_deg):
     encoder = Encoder(pulses_per_rev=60, eccentricity_deg=amplitude_deg, eccentricity_phase_deg=30.0)
     pulses = pulses_of(encoder, TURNING)
     inside = np.isfinite(pulses.rise_s)
@@ -152,7 +148,7 @@ def test_an_eccentric_wheel_shows_its_turn_and_a_sine_of_it(amplitude_deg: float
 
 
 @pytest.mark.slow
-def test_errors_of_lines_are_those_of_the_wheel_and_have_their_spread() -> None:
+def test_errors_of_lines_are_those_of_the_wheel_and_have_their_spread():
     encoder = Encoder(pulses_per_rev=3600, line_error_deg=0.01)
     wheel, again, other = (wheel_of(encoder, seed=seed) for seed in (1, 1, 2))
     error_deg = (wheel.nominal - wheel.rise) * 360
@@ -168,13 +164,13 @@ LONG_RUN = Motion(start_rev=0.321, corners=((0.5, 900.0), (4.5, 1800.0)))
 ENCODER = Encoder(pulses_per_rev=60)
 
 
-def faulty(encoder: Encoder, faults: Sequence[AnyEncoderFault], *, recording: str = "made") -> EncoderSignals:
+def faulty(encoder, faults, *, recording="made"):
     return encoder_signals(
         LONG_RUN, encoder, faults, seed=3, recording=recording, stream=recording, rate_hz=RATE_HZ, n_samples=250_000
     )
 
 
-def numbered(made: EncoderSignals, encoder: Encoder) -> NumberedTeeth:
+def numbered(made, encoder):
     how: dict[str, Any] = {"rate_hz": RATE_HZ, "kind": "square", "edge": "rising", "settings": SHAFT}
     pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
     index_s = None if made.index is None else find_pulses(made.index, pulses_per_rev=1, **how).time_s
@@ -184,19 +180,19 @@ def numbered(made: EncoderSignals, encoder: Encoder) -> NumberedTeeth:
     )  # fmt: skip
 
 
-def found(made: EncoderSignals, encoder: Encoder) -> dict[str, str]:
+def found(made, encoder):
     """Flag and detail of everything that the decoder remarks on."""
     return {flag: detail for flag, _, detail in numbered(made, encoder).flags}
 
 
-def only_record(made: EncoderSignals, flag: str) -> dict:
+def only_record(made, flag):
     (record,) = made.records
     assert (record["recording"], record["flag"], record["severity"]) == ("made", flag, "suspect")
     return record
 
 
 @pytest.mark.parametrize("wheel", [{}, {"missing_teeth": 2, "index": False}], ids=["60", "60-2"])
-def test_lost_pulses_are_found_by_number_and_tooth(wheel: dict[str, Any]) -> None:
+def test_lost_pulses_are_found_by_number_and_tooth(wheel):
     encoder = ENCODER.model_copy(update=wheel)
     made = faulty(encoder, [LostPulses(kind="lost_pulses", count=7)])
     record = only_record(made, "encoder_missing_pulse")
@@ -210,7 +206,7 @@ def test_lost_pulses_are_found_by_number_and_tooth(wheel: dict[str, Any]) -> Non
     np.testing.assert_array_equal(places[places < 60 - encoder.missing_teeth], record["lines"])
 
 
-def test_a_damaged_line_is_found_at_its_angle() -> None:
+def test_a_damaged_line_is_found_at_its_angle():
     made = faulty(ENCODER, [DamagedLine(kind="damaged_line", lines=(13, 70))])
     record = only_record(made, "encoder_damaged_line")
     assert (record["lines"], record["angles_deg"]) == ([13], [78.0])
@@ -223,7 +219,7 @@ def test_a_damaged_line_is_found_at_its_angle() -> None:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("delay_s", [2e-4, 3e-4])
-def test_double_pulses_are_found_and_removed(delay_s: float) -> None:
+def test_double_pulses_are_found_and_removed(delay_s):
     made = faulty(ENCODER, [DoublePulses(kind="double_pulses", count=12, delay_s=delay_s)])
     record = only_record(made, "encoder_double_pulse")
     assert record["count"] == len(record["times_s"]) == 12
@@ -235,7 +231,7 @@ def test_double_pulses_are_found_and_removed(delay_s: float) -> None:
     assert np.ptp(crank_rev) * 360 < 0.25
 
 
-def test_faults_act_on_their_recordings_only_and_one_changes_no_other() -> None:
+def test_faults_act_on_their_recordings_only_and_one_changes_no_other():
     lost = LostPulses(kind="lost_pulses", count=5, recordings=("a", "b"))
     double = DoublePulses(kind="double_pulses", count=5)
     in_a, in_b = (faulty(ENCODER, [lost], recording=name).records[0]["times_s"] for name in ("a", "b"))

@@ -18,13 +18,13 @@ FORWARDS = ((0.5, 900.0), (2.0, 1500.0), (3.0, 1500.0), (4.5, 700.0))
 WOBBLES = ((0.7, 40.0, 30.0), (3.1, 12.0, -100.0), (11.0, 2.0, 200.0))
 
 
-def _lag(*, gas: bool = True, orders: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0, 4.0, 6.0)) -> Lag:
+def _lag(*, gas=True, orders=(0.5, 1.0, 1.5, 2.0, 4.0, 6.0)):
     order = np.array(orders)
     inertia = 4e-3 / order**2 * np.exp(1j * order)
     return Lag(order=order, inertia=inertia, gas=gas * 2e-3 / order * np.exp(2j * order**2), reference_rpm=1000.0)
 
 
-def _mean(motion: Motion, time_s: np.ndarray) -> tuple[np.ndarray, ...]:
+def _mean(motion, time_s):
     """Mean angle from t = 0 and its three derivatives, rev and s: sine by sine, in extended precision."""
     time = np.asarray(time_s, dtype=np.longdouble)
     corner_s, corner_rpm = np.array(motion.corners, dtype=np.longdouble).T
@@ -33,7 +33,7 @@ def _mean(motion: Motion, time_s: np.ndarray) -> tuple[np.ndarray, ...]:
     slope = np.diff(rpm) / np.diff(knots)
     turned = np.concatenate([[0], np.cumsum((rpm[1:] + rpm[:-1]) / 120 * np.diff(knots))])
 
-    def profile(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def profile(t):
         k = np.searchsorted(knots, t, side="right") - 1
         after = t - knots[k]
         return turned[k] + after * (rpm[k] + slope[k] * after / 2) / 60, (rpm[k] + slope[k] * after) / 60, slope[k] / 60
@@ -50,7 +50,7 @@ def _mean(motion: Motion, time_s: np.ndarray) -> tuple[np.ndarray, ...]:
     return angle, speed, acceleration, jerk
 
 
-def _lag_terms(lag: Lag, angle: np.ndarray, speed: np.ndarray) -> dict[str, np.ndarray]:
+def _lag_terms(lag, angle, speed):
     """The lag and what the laws below need of its derivatives, by the definition."""
     turn = 2j * np.pi * lag.order[:, None]
     phasor = np.exp(turn * angle)
@@ -66,7 +66,7 @@ def _lag_terms(lag: Lag, angle: np.ndarray, speed: np.ndarray) -> dict[str, np.n
     }
 
 
-def test_without_lag_the_motion_is_the_integral_of_profile_and_wobbles() -> None:
+def test_without_lag_the_motion_is_the_integral_of_profile_and_wobbles():
     motion = Motion(start_rev=0.37, corners=PROFILE, wobbles=WOBBLES)
     time = np.linspace(-2, 9, 20_001)
     found = motion.at(time)
@@ -77,7 +77,7 @@ def test_without_lag_the_motion_is_the_integral_of_profile_and_wobbles() -> None
 
 @pytest.mark.parametrize("gas", [False, True])
 @pytest.mark.parametrize("orders", [(0.5, 1.0, 1.5, 2.0, 4.0), (1.0, 2.0, 5.3), (0.9, 2**0.5, np.pi)])
-def test_mean_angle_is_crank_angle_plus_lag_and_so_are_their_rates(orders: tuple[float, ...], gas: bool) -> None:
+def test_mean_angle_is_crank_angle_plus_lag_and_so_are_their_rates(orders, gas):
     motion = Motion(start_rev=0.37, corners=FORWARDS, wobbles=WOBBLES, lag=_lag(gas=gas, orders=orders))
     assert motion.lag is not None
     time = np.linspace(-2, 9, 5001)
@@ -97,7 +97,7 @@ def test_mean_angle_is_crank_angle_plus_lag_and_so_are_their_rates(orders: tuple
     np.testing.assert_allclose(second, bend, atol=1e-12 * np.abs(acceleration).max())
 
 
-def test_the_start_is_the_angle_at_time_zero() -> None:
+def test_the_start_is_the_angle_at_time_zero():
     for start_rev, corners in ((0.0, PROFILE), (0.3, FORWARDS), (12.75, ((-3.0, 800.0), (4.0, 1200.0)))):
         lag = _lag(gas=corners is not PROFILE)
         motion = Motion(start_rev=start_rev, corners=corners, wobbles=WOBBLES, lag=lag)
@@ -105,7 +105,7 @@ def test_the_start_is_the_angle_at_time_zero() -> None:
         assert Motion(start_rev=start_rev, corners=corners).at(np.zeros(1))[0][0] == start_rev
 
 
-def test_a_day_of_turning_loses_no_digits() -> None:
+def test_a_day_of_turning_loses_no_digits():
     motion = Motion(start_rev=0.1, corners=((0.0, 701.3), (1e5, 6001.7)))
     time = np.linspace(0, 99_999.9, 101)
     for t, angle in zip(time.tolist(), motion.at(time)[0].tolist(), strict=True):
@@ -124,9 +124,7 @@ speeds = st.floats(-3000, 3000).map(lambda rpm: round(rpm, 1))
     lagging=st.booleans(),
 )
 @settings(max_examples=60, deadline=None)
-def test_every_angle_of_a_stretch_has_its_time(
-    rpm: list[float], spans: list[float], wobbles: list[tuple[float, float, float]], lagging: bool
-) -> None:
+def test_every_angle_of_a_stretch_has_its_time(rpm, spans, wobbles, lagging):
     corners = tuple(zip(np.cumsum(spans)[: len(rpm)].tolist(), rpm, strict=True))
     lag = _lag(gas=False) if lagging else None
     motion = Motion(start_rev=0.4, corners=corners, wobbles=tuple(wobbles), lag=lag)
@@ -148,14 +146,14 @@ def test_every_angle_of_a_stretch_has_its_time(
         np.testing.assert_allclose((back - time)[quick] * speed[quick] / 60, 0, atol=8 * EPS * size)
 
 
-def test_an_angle_outside_the_stretch_is_refused() -> None:
+def test_an_angle_outside_the_stretch_is_refused():
     motion = Motion(start_rev=0.0, corners=((0.0, 600.0),))
     with pytest.raises(RequestError, match=r"found 20\.5"):
         motion.time_at(np.array([3.0, 20.5]), (0.0, 2.0))
     assert motion.time_at(np.zeros(0), (0.0, 2.0)).size == 0
 
 
-def test_stretches_end_where_the_shaft_turns_round_and_leave_standstills_out() -> None:
+def test_stretches_end_where_the_shaft_turns_round_and_leave_standstills_out():
     corners = ((1.0, 600.0), (2.0, 0.0), (3.0, 0.0), (4.0, -600.0), (6.0, 600.0))
     motion = Motion(start_rev=0.0, corners=corners)
     assert motion.stretches(8.0) == ((0.0, 2.0), (3.0, 5.0), (5.0, 8.0))
@@ -164,7 +162,7 @@ def test_stretches_end_where_the_shaft_turns_round_and_leave_standstills_out() -
 
 
 @pytest.mark.slow
-def test_wobbles_that_cancel_or_nearly_do_end_the_search_for_turns() -> None:
+def test_wobbles_that_cancel_or_nearly_do_end_the_search_for_turns():
     against = ((3.0, 50.0, 10.0), (3.0, 50.0, 190.0))
     assert Motion(start_rev=0.0, corners=((0.0, 0.0),), wobbles=against).stretches(5.0) == ()
     beating = Motion(start_rev=0.0, corners=((0.0, 0.0),), wobbles=((3.0, 50.0, 10.0), (3.0 + 1e-9, 50.0, 190.0)))
@@ -173,7 +171,7 @@ def test_wobbles_that_cancel_or_nearly_do_end_the_search_for_turns() -> None:
     np.testing.assert_allclose(stretches[0][1], 170 / 360 / 3, atol=1e-6)
 
 
-def test_a_shaft_that_would_stop_within_the_cycle_is_refused() -> None:
+def test_a_shaft_that_would_stop_within_the_cycle_is_refused():
     lag = Lag(order=np.array([2.0]), inertia=np.array([0.0j]), gas=np.array([0.02 + 0j]), reference_rpm=1000.0)
     slowest = 1000 * np.sqrt(4 * np.pi * 0.02)
     assert lag.slowest_rpm == pytest.approx(slowest, rel=1e-2)
@@ -200,13 +198,13 @@ def test_a_shaft_that_would_stop_within_the_cycle_is_refused() -> None:
         (((0.0, 900.0),), ((1.0, float("inf"), 0.0),)),
     ],
 )
-def test_a_motion_that_is_none_is_refused(corners: tuple, wobbles: tuple) -> None:
+def test_a_motion_that_is_none_is_refused(corners, wobbles):
     with pytest.raises(RequestError):
         Motion(start_rev=0.0, corners=corners, wobbles=wobbles)
 
 
 @pytest.mark.slow
-def test_wander_has_its_deviation_and_stays_below_its_corner() -> None:
+def test_wander_has_its_deviation_and_stays_below_its_corner():
     wobbles = wander_wobbles(7.0, 2.0, np.random.default_rng(4), 30.0)
     assert len(wobbles) == 120
     frequency = np.array([part[0] for part in wobbles])

@@ -11,7 +11,6 @@ from scipy.signal import welch
 
 from crankorder.batch.accuracy import Twin, _floor
 from crankorder.errors import RequestError
-from crankorder.synth.analogue import high_pass, in_series, low_pass
 from crankorder.synth.lines import modulation, ringing, ringing_s, slipping_line, strike_angles
 from crankorder.synth.noise import (
     density_through_points,
@@ -24,17 +23,18 @@ from crankorder.synth.noise import (
     white_spectrum,
 )
 from crankorder.synth.parts import ColouredNoise
+from crankorder.synth.poles import high_pass, in_series, low_pass
 
 RATE_HZ = 8000.0
 
 
-def density_of(signal: np.ndarray) -> np.ndarray:
+def density_of(signal):
     """One-sided amplitude density of frames of 800 samples without overlap: bins of 10 Hz."""
     power = np.abs(np.fft.rfft(signal.reshape(-1, 800))) ** 2
     return np.sqrt(2 * power.mean(axis=0) / (RATE_HZ * 800))
 
 
-def test_streams_depend_on_every_name_and_on_nothing_else() -> None:
+def test_streams_depend_on_every_name_and_on_nothing_else():
     draws = {
         names: seed_stream(3, *names).random() for names in [("a", "r1"), ("a", "r2"), ("b", "r1"), ("a",), ("r1", "a")]
     }
@@ -43,13 +43,13 @@ def test_streams_depend_on_every_name_and_on_nothing_else() -> None:
     assert seed_stream(4, "a", "r1").random() != draws["a", "r1"]
 
 
-def test_white_noise_has_the_density_that_was_asked_for() -> None:
+def test_white_noise_has_the_density_that_was_asked_for():
     noise = white_noise(seed_stream(1, "x"), 0.25, rate_hz=RATE_HZ, n_samples=1_600_000)
     assert density_of(noise)[1:-1] == pytest.approx(0.25, rel=0.1)
     assert noise.std() == pytest.approx(0.25 * np.sqrt(RATE_HZ / 2), rel=0.003)
 
 
-def test_noise_behind_a_response_has_its_density() -> None:
+def test_noise_behind_a_response_has_its_density():
     n_samples = 1_600_000
     n_padded = padded_length(n_samples, 4000)
     white = [white_spectrum(seed_stream(2, axis), 2.0, rate_hz=RATE_HZ, n_samples=n_padded) for axis in "XY"]
@@ -64,19 +64,19 @@ def test_noise_behind_a_response_has_its_density() -> None:
     assert not noise[1].any()
 
 
-def test_shaped_noise_with_too_few_bins_is_refused() -> None:
+def test_shaped_noise_with_too_few_bins_is_refused():
     with pytest.raises(ValueError, match="51 bins make 100 samples"):
         shaped_noise(seed_stream(4, "x"), np.ones(51), rate_hz=RATE_HZ, n_samples=101)
 
 
-def test_a_density_through_points_is_straight_on_log_scales_and_level_outside() -> None:
+def test_a_density_through_points_is_straight_on_log_scales_and_level_outside():
     part = ColouredNoise(channels=("Y",), frequency_hz=(1.0, 100.0, 1000.0), m_s2_per_root_hz=(1.0, 0.1, 0.4))
     frequency = np.array([0.0, 0.3, 1.0, 10.0, 25.0, 100.0, np.sqrt(1e5), 1000.0, 5e4])
     exact = [1.0, 1.0, 1.0, 10**-0.5, 0.2, 0.1, 0.2, 0.4, 0.4]
     assert density_through_points(part, frequency) == pytest.approx(exact, rel=1e-12)
 
 
-def test_images_of_a_shaped_density_add_by_power_above_and_below_the_points() -> None:
+def test_images_of_a_shaped_density_add_by_power_above_and_below_the_points():
     part = ColouredNoise(channels=("Y",), frequency_hz=(50.0, 3e3, 9e4), m_s2_per_root_hz=(2.0, 0.1, 3.0))
     frequency = np.linspace(0.0, RATE_HZ / 2, 17)
     for order in (2, 5):
@@ -90,7 +90,7 @@ def test_images_of_a_shaped_density_add_by_power_above_and_below_the_points() ->
 # The synthetic twin of a test: its floor has no line of its own where the test's orders stood.
 
 
-def test_the_floor_under_an_order_is_that_beside_it() -> None:
+def test_the_floor_under_an_order_is_that_beside_it():
     rate, rpm, order = 2048.0, 1300.0, 3.57
     frequency = np.arange(0.0, 800.0, 0.5)
     line = order * rpm / 60.0
@@ -115,25 +115,25 @@ BPFO = 2.2
 CAGE, SHAFT = 0.2, 0.5
 
 
-def strikes(seed: int = 1, **differences: Any) -> Any:
+def strikes(seed=1, **differences):
     asked = {"slip_percent": 1.0, "jitter_percent": 2.0, "start_rev": -3.0, "end_rev": 500.0} | differences
     order = asked.pop("order", BPFO)
     return strike_angles(order, **asked, stream=seed_stream(seed, "impacts"))
 
 
-def directly(times: Any, struck: Any, size: Any, *, resonance_hz: float, damping_ratio: float) -> Any:
+def directly(times, struck, size, *, resonance_hz, damping_ratio):
     """One sine after another, its peak found by looking for it."""
     natural = 2 * np.pi * resonance_hz
     damped = natural * np.sqrt(1 - damping_ratio**2)
 
-    def one(tau: Any) -> Any:
+    def one(tau):
         return np.where(tau > 0, np.exp(-damping_ratio * natural * tau) * np.sin(damped * tau), 0.0)
 
     found = minimize_scalar(lambda tau: -one(tau), bounds=(0, np.pi / damped), options={"xatol": 1e-12 / damped})
     return sum(s * one(times - t) for t, s in zip(struck, size, strict=True)) / one(found.x)
 
 
-def test_without_jitter_strikes_come_evenly_at_the_slipping_line() -> None:
+def test_without_jitter_strikes_come_evenly_at_the_slipping_line():
     found = strikes(jitter_percent=0.0, slip_percent=1.5)
     assert np.diff(found) == pytest.approx(1 / (BPFO * 0.985), rel=1e-12)
     assert -3 <= found[0] < -3 + 1 / (BPFO * 0.985)
@@ -143,7 +143,7 @@ def test_without_jitter_strikes_come_evenly_at_the_slipping_line() -> None:
 
 
 @pytest.mark.slow
-def test_jitter_adds_up_to_a_random_walk() -> None:
+def test_jitter_adds_up_to_a_random_walk():
     stream = seed_stream(7, "walks")
     walks = np.array(
         [
@@ -161,7 +161,7 @@ def test_jitter_adds_up_to_a_random_walk() -> None:
     assert abs(neighbours) < 4 / np.sqrt(2000 * 639)  # of jitter about fixed places it would be −½
 
 
-def test_a_longer_record_adds_strikes_and_changes_none() -> None:
+def test_a_longer_record_adds_strikes_and_changes_none():
     short, long = strikes(start_rev=3.0, end_rev=200.0), strikes(start_rev=-900.0, end_rev=2000.0)
     assert np.array_equal(long[(long >= 3) & (long <= 200)], short)
     assert abs(short.size / 197 - long.size / 2900) < 0.01 * BPFO
@@ -174,13 +174,13 @@ def test_a_longer_record_adds_strikes_and_changes_none() -> None:
 @pytest.mark.parametrize(
     "wrong", [{"order": 0.0}, {"order": np.nan}, {"slip_percent": 100.0}, {"jitter_percent": 21.0}, {"end_rev": np.inf}]
 )
-def test_strikes_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+def test_strikes_that_cannot_be_are_refused(wrong):
     with pytest.raises(RequestError, match="no such strikes"):
         strikes(**wrong)
 
 
 @pytest.mark.parametrize(("line", "order"), [("BPFI", SHAFT), ("BSF", CAGE)])
-def test_the_load_zone_comes_and_goes_with_what_the_damage_turns_with(line: Any, order: float) -> None:
+def test_the_load_zone_comes_and_goes_with_what_the_damage_turns_with(line, order):
     at = strikes(end_rev=20_000.0)
     size = modulation(line, at, load_zone=0.7, shaft_ratio=SHAFT, cage_order=CAGE, phase_rev=0.1)
     again = modulation(line, at + 1 / order, load_zone=0.7, shaft_ratio=SHAFT, cage_order=CAGE, phase_rev=0.1)
@@ -193,7 +193,7 @@ def test_the_load_zone_comes_and_goes_with_what_the_damage_turns_with(line: Any,
     assert highest == pytest.approx(1.7)
 
 
-def test_the_ringing_is_the_sum_of_its_sines() -> None:
+def test_the_ringing_is_the_sum_of_its_sines():
     for resonance_hz, damping_ratio in ((3100.0, 0.02), (700.0, 0.3), (14_900.0, 0.004)):
         rate_hz, n = 20_000.0, 3000  # 14.9 kHz folds, as without a filter it does
         chance = np.random.default_rng(5)
@@ -207,7 +207,7 @@ def test_the_ringing_is_the_sum_of_its_sines() -> None:
 
 
 @pytest.mark.parametrize("resonance_hz", [3000.0, 16_000.0])
-def test_behind_a_filter_the_ringing_obeys_the_equations_of_both(resonance_hz: float) -> None:
+def test_behind_a_filter_the_ringing_obeys_the_equations_of_both(resonance_hz):
     rate_hz, n, struck_s, damping_ratio = 25_600.0, 160, 0.731 / 25_600, 0.03
     through = in_series(low_pass(2, 6000.0), high_pass(300.0))
     shape: dict[str, Any] = {"resonance_hz": resonance_hz, "damping_ratio": damping_ratio, "rate_hz": rate_hz}
@@ -216,7 +216,7 @@ def test_behind_a_filter_the_ringing_obeys_the_equations_of_both(resonance_hz: f
     natural, corner, coupling = (2 * np.pi * f for f in (resonance_hz, 6000.0, 300.0))
     damped = natural * np.sqrt(1 - damping_ratio**2)
 
-    def motion(_: float, state: Any) -> list[float]:
+    def motion(_, state):
         x, v, y, w, z = state  # oscillator, two-pole low-pass, what the coupling has charged itself to
         return [
             v,
@@ -237,7 +237,7 @@ def test_behind_a_filter_the_ringing_obeys_the_equations_of_both(resonance_hz: f
     assert np.abs(found[1:] - known).max() < 1e-9 * np.abs(known).max()
 
 
-def test_a_resonance_that_cannot_be_is_refused() -> None:
+def test_a_resonance_that_cannot_be_is_refused():
     for resonance_hz, damping_ratio in ((0.0, 0.1), (1.0, 1.0), (1.0, 0.0), (float("nan"), 0.1)):
         with pytest.raises(RequestError, match="no such resonance"):
             ringing_s(resonance_hz, damping_ratio)

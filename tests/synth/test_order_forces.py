@@ -8,8 +8,7 @@ import pytest
 from crankorder.engine.definition import Engine
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
-from crankorder.synth.crank import crank_motion, lag_by_order
-from crankorder.synth.lines import crank_forces, order_lines
+from crankorder.synth.lines import crank_forces, crank_motion, lag_by_order, order_lines
 from crankorder.synth.load import load_scene
 from crankorder.synth.motion import Motion
 from crankorder.synth.noise import floor_of
@@ -31,7 +30,7 @@ RNG = np.random.default_rng(3)
 ORDERS = (0.5, 1.0, 1.5, 2.0, 4.0, 20.0, 5.37, -1.0, 0.0, 33.5, 2.0)
 
 
-def some_lines(order: tuple[float, ...] = ORDERS, **changes: object) -> ForceLines:
+def some_lines(order=ORDERS, **changes):
     n = len(order)
     parts = {
         "order": np.array(order),
@@ -45,9 +44,7 @@ def some_lines(order: tuple[float, ...] = ORDERS, **changes: object) -> ForceLin
     return ForceLines(**(parts | changes))
 
 
-def plain_forces(
-    lines: ForceLines, rev: np.ndarray, rpm: np.ndarray, rpm_per_s: np.ndarray, gain: np.ndarray | float = 1.0
-) -> np.ndarray:
+def plain_forces(lines, rev, rpm, rpm_per_s, gain=1.0):
     """Complex force (line, axis, n) of each line as the definition has it."""
     omega, alpha, forces = rpm * np.pi / 30, rpm_per_s * np.pi / 30, []
     for k, order in enumerate(lines.order):
@@ -60,7 +57,7 @@ def plain_forces(
     return np.array(forces)
 
 
-def test_the_compiled_sum_is_the_sum_of_cosines() -> None:
+def test_the_compiled_sum_is_the_sum_of_cosines():
     lines, n = some_lines(inertia=np.isin(ORDERS, (1.0, 4.0, 33.5))), 1000
     rev = RNG.uniform(-300, 300, n)
     speed, acceleration, gain = RNG.uniform(-3000, 3000, n), RNG.uniform(-500, 500, n), RNG.uniform(0.5, 1.5, n)
@@ -72,7 +69,7 @@ def test_the_compiled_sum_is_the_sum_of_cosines() -> None:
     )
 
 
-def test_a_force_that_falls_with_speed_is_refused_at_standstill() -> None:
+def test_a_force_that_falls_with_speed_is_refused_at_standstill():
     lines = some_lines((1.0,), exponent=np.array([-1.0]))
     with pytest.raises(RequestError, match="stands still"):
         force_at(lines, np.zeros(2), np.array([1.0, 0.0]), np.zeros(2))
@@ -87,7 +84,7 @@ SceneWith = Callable[..., Scene]
 IN_CYCLE = InCycleSpeed(by_order=(SpeedOrder(order=0.5, percent=1.0), SpeedOrder(order=2.0, percent=1.5)))
 
 
-def pushed(engine: Engine, angle: np.ndarray, omega: float, alpha: float) -> tuple[np.ndarray, np.ndarray]:
+def pushed(engine, angle, omega, alpha):
     """Force along Z and moment about Y on the crankcase: piston and wall of one cylinder, rod without mass of its own.
 
     The rod pulls along itself; its part across is what the wall takes, at the height of the piston pin. The forces in
@@ -107,9 +104,7 @@ def pushed(engine: Engine, angle: np.ndarray, omega: float, alpha: float) -> tup
 
 @pytest.mark.parametrize("offset_m", [0.0, 0.01])
 @pytest.mark.parametrize(("omega", "alpha"), [(100.0, 0.0), (100.0, 6000.0), (0.0, 500.0), (-50.0, -900.0)])
-def test_a_piston_shakes_and_rolls_the_crankcase_under_any_motion(
-    scene_with: SceneWith, offset_m: float, omega: float, alpha: float
-) -> None:
+def test_a_piston_shakes_and_rolls_the_crankcase_under_any_motion(scene_with, offset_m, omega, alpha):
     moving = {"engine_forces": EngineForces(tolerance=1e-15, moments=True), "in_cycle_speed": IN_CYCLE}
     scene = scene_with("engine_forces", **moving)
     alone = Engine(**{**scene.engine.model_dump(exclude={"shafts"}), "offset_m": offset_m})
@@ -122,7 +117,7 @@ def test_a_piston_shakes_and_rolls_the_crankcase_under_any_motion(
 
 
 @pytest.mark.parametrize("more", [{}, {"in_cycle_speed": IN_CYCLE}])
-def test_the_order_lines_of_a_late_channel_are_those_of_its_samples(scene_with: SceneWith, more: dict) -> None:
+def test_the_order_lines_of_a_late_channel_are_those_of_its_samples(scene_with, more):
     late = Acquisition(delay_s={"Z": 7.7e-4})
     effects = ["engine_forces", "injected_orders"] + ([] if more else ["bearing_lines"])
     scene = scene_with(*effects, acquisition=late, **more)
@@ -135,7 +130,7 @@ def test_the_order_lines_of_a_late_channel_are_those_of_its_samples(scene_with: 
 
 
 @pytest.mark.slow
-def test_a_force_that_turns_the_same_way_backwards_is_told_for_backwards_speeds(scene_with: SceneWith) -> None:
+def test_a_force_that_turns_the_same_way_backwards_is_told_for_backwards_speeds(scene_with):
     backwards = SpeedProfile(rpm=(-800.0, -500.0), time_s=(0.5, 2.0))
     more = {"speeds": None, "speed_profile": backwards}
     scene = scene_with("injected_orders", injected_orders=(_force("Z"),), **more)
@@ -149,7 +144,7 @@ def test_a_force_that_turns_the_same_way_backwards_is_told_for_backwards_speeds(
     assert np.abs(signal - (line * np.exp(2j * np.pi * 6.5 * rev)).real).max() < 1e-9 * np.abs(signal).max()
 
 
-def test_a_crossing_is_excited_where_a_force_of_the_order_drives_the_mode(scene_with: SceneWith) -> None:
+def test_a_crossing_is_excited_where_a_force_of_the_order_drives_the_mode(scene_with):
     scene = scene_with("injected_orders", "bearing_lines", injected_orders=(_force("RY"), _force("Z", order=4.0)))
     line = scene.bearing_lines[0].model_copy(update={"line": "N*fs"})
     force = _force("Z", order=5.5)
@@ -163,7 +158,7 @@ def test_a_crossing_is_excited_where_a_force_of_the_order_drives_the_mode(scene_
     assert excited[1] - excited[0] == {(5.5, 60.0), (5.5, 230.0)}
 
 
-def _force(direction: str, *, order: float = 6.5) -> InjectedOrder:
+def _force(direction, *, order=6.5):
     return InjectedOrder(order=order, direction=direction, force_n=30.0, at_speed_rpm=600.0)
 
 
@@ -174,13 +169,13 @@ LINE_ORDERS = (0.0, 0.5, 1.0, 2.0, 2.0, 4.0, 5.3)
 RPM = 1300.0
 
 
-def _lag(size: float = 1.0, orders: tuple[float, ...] = (0.5, 1.0, 2.0, 3.5)) -> Lag:
+def _lag(size=1.0, orders=(0.5, 1.0, 2.0, 3.5)):
     order = np.array(orders)
     inertia = size * 6e-3 / order * np.exp(3j * order)
     return Lag(order=order, inertia=inertia, gas=size * 3e-3 / order * np.exp(1j * order**2), reference_rpm=1000.0)
 
 
-def _worst(order: np.ndarray, amplitude: np.ndarray, signal: np.ndarray, revs: float) -> float:
+def _worst(order, amplitude, signal, revs):
     """Largest difference between given lines and those of samples over ``revs`` whole turns, over the largest line."""
     expected = np.fft.rfft(signal, axis=1) * 2 / signal.shape[1]
     expected[:, 0] /= 2
@@ -194,7 +189,7 @@ def _worst(order: np.ndarray, amplitude: np.ndarray, signal: np.ndarray, revs: f
 
 @pytest.mark.parametrize("size", [1.0, 0.0, 5.0])
 @pytest.mark.parametrize("rpm", [RPM, -RPM])
-def test_forces_of_an_uneven_rotation_are_lines_of_the_mean_rotation(size: float, rpm: float) -> None:
+def test_forces_of_an_uneven_rotation_are_lines_of_the_mean_rotation(size, rpm):
     lines, lag, revs, n = some_lines(LINE_ORDERS, inertia=np.isin(LINE_ORDERS, (1.0, 4.0))), _lag(size), 20, 1 << 14
     order, amplitude = lines_in_time(lines, lag, speed_rpm=rpm)
     motion = Motion(start_rev=0.3, corners=((0.0, rpm),), lag=lag)
@@ -204,7 +199,7 @@ def test_forces_of_an_uneven_rotation_are_lines_of_the_mean_rotation(size: float
     assert _worst(order, amplitude, signal, revs) < 2e-12
 
 
-def test_a_perfect_order_analysis_finds_the_lines_in_angle() -> None:
+def test_a_perfect_order_analysis_finds_the_lines_in_angle():
     lag, revs, n = _lag(3.0), 20, 1 << 13
     rng = np.random.default_rng(8)
     of_time = np.array([0.0, 0.5, 2.0, 5.3, 11.5])
@@ -218,7 +213,7 @@ def test_a_perfect_order_analysis_finds_the_lines_in_angle() -> None:
     assert _worst(order, amplitude, signal, revs) < 2e-12
 
 
-def test_a_lag_without_a_cycle_and_a_shaft_that_stops_are_refused() -> None:
+def test_a_lag_without_a_cycle_and_a_shaft_that_stops_are_refused():
     one = np.ones((1, 1), dtype=complex)
     with pytest.raises(RequestError, match="common cycle"):
         lines_in_angle(np.array([1.0]), one, _lag(orders=(1.0, 2**0.5)), speed_rpm=RPM)
@@ -240,7 +235,7 @@ def test_a_lag_without_a_cycle_and_a_shaft_that_stops_are_refused() -> None:
         ((1.0, 2.0, 0.0), (5.3, 5.0, 50.0)),
     ],
 )
-def test_the_speed_has_the_given_orders_by_crank_angle_and_no_others(parts: tuple) -> None:
+def test_the_speed_has_the_given_orders_by_crank_angle_and_no_others(parts):
     lag = lag_by_order(tuple(SpeedOrder(order=o, percent=p, phase_deg=d) for o, p, d in parts))
     angle, speed, _ = Motion(start_rev=0.13, corners=((0.0, 1200.0),), lag=lag).at(np.linspace(0, 0.5, 4001))
     shape = 1 + sum(p / 100 * np.cos(2 * np.pi * o * angle + np.radians(d)) for o, p, d in parts)
@@ -248,7 +243,7 @@ def test_the_speed_has_the_given_orders_by_crank_angle_and_no_others(parts: tupl
     assert angle[-1] - angle[0] == pytest.approx(10, abs=1e-13)
 
 
-def _lag_of(scene: Scene, flywheel_inertia_kg_m2: float | None, in_cycle: InCycleSpeed) -> Lag:
+def _lag_of(scene, flywheel_inertia_kg_m2, in_cycle):
     engine = scene.engine.model_copy(update={"flywheel_inertia_kg_m2": flywheel_inertia_kg_m2})
     changed = scene.model_copy(update={"engine": engine, "in_cycle_speed": in_cycle})
     lag = crank_motion(changed, changed.runs[0]).lag
@@ -257,7 +252,7 @@ def _lag_of(scene: Scene, flywheel_inertia_kg_m2: float | None, in_cycle: InCycl
 
 
 @pytest.mark.slow
-def test_the_flywheel_is_the_engines_unless_the_scene_has_its_own() -> None:
+def test_the_flywheel_is_the_engines_unless_the_scene_has_its_own():
     scene = load_scene("thesis-second-firing")
     of_engine = _lag_of(scene, 0.4, InCycleSpeed())
     of_scene = _lag_of(scene, 0.9, InCycleSpeed(flywheel_inertia_kg_m2=0.4))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
-from crankorder.synth.analogue import high_pass, in_series, low_pass
-from crankorder.synth.poles import Structure, accelerance, poles_of, tones
+from crankorder.synth.poles import Structure, accelerance, high_pass, in_series, low_pass, poles_of, tones
 from made.structures import frequency_response
 
 RNG = np.random.default_rng(4)
@@ -19,14 +18,14 @@ STRUCTURE = Structure(
 FREQUENCY = np.r_[-500.0, -60.0, 0.0, np.geomspace(1, 2e4, 60), 115.0]
 
 
-def test_a_filter_in_series_multiplies_the_response() -> None:
+def test_a_filter_in_series_multiplies_the_response():
     for filter in (low_pass(8, 4000.0), low_pass(3, 90.0), in_series(low_pass(7, 900.0), high_pass(2.0))):
         expected = accelerance(STRUCTURE, FREQUENCY) * filter.response(FREQUENCY)
         error = np.abs(frequency_response(poles_of(STRUCTURE, filter), FREQUENCY) - expected)
         assert error.max() < 1e-13 * np.abs(accelerance(STRUCTURE, FREQUENCY)).max()
 
 
-def test_a_mode_on_a_pole_of_the_filter_is_refused() -> None:
+def test_a_mode_on_a_pole_of_the_filter_is_refused():
     filter = low_pass(2, 60.0)
     mode = Structure(
         frequency_hz=np.array([60.0]),
@@ -42,7 +41,7 @@ def test_a_mode_on_a_pole_of_the_filter_is_refused() -> None:
 # A complex mode against its formula, and the sum of tones against cosines.
 
 
-def test_a_complex_mode_is_the_pair_of_its_poles_and_residues() -> None:
+def test_a_complex_mode_is_the_pair_of_its_poles_and_residues():
     omega = 2 * np.pi * FREQUENCY
     expected = np.zeros((2, 6, omega.size), dtype=complex) + STRUCTURE.rigid_body_per_kg[:, :, None]
     for j, natural in enumerate(2 * np.pi * STRUCTURE.frequency_hz):
@@ -57,7 +56,7 @@ def test_a_complex_mode_is_the_pair_of_its_poles_and_residues() -> None:
     assert np.abs(found - expected).max() < 1e-13 * np.abs(expected).max()
 
 
-def test_tones_are_the_sum_of_cosines_to_the_last_sample() -> None:
+def test_tones_are_the_sum_of_cosines_to_the_last_sample():
     rate_hz, n_samples = 50_000.0, 100_003
     frequency = np.array([5.0, 183.333333333, 24_000.0])
     amplitude = np.array([[1 + 2j, 0.5, -1j], [0.0, 3j, 1e-3]])

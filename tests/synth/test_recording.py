@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
-from crankorder.synth.crank import crank_motion, start_angle_rev
+from crankorder.synth.lines import crank_motion, start_angle_rev
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
 from crankorder.synth.parts import Acquisition, InCycleSpeed, SpeedOrder, SpeedProfile, Wander
 from crankorder.synth.recording import sensed
-from crankorder.synth.scene import Run, Scene
+from crankorder.synth.scene import Scene
 from crankorder.synth.truth import truth_of
 
 SceneWith = Callable[..., Scene]
@@ -30,11 +30,11 @@ MOTIONS = {
 }
 
 
-def signal_of(scene: Scene, run: Run) -> np.ndarray:
+def signal_of(scene, run):
     return sensed(scene, run, floor_of(scene, scene.rate_hz(run.speed_rpm)))
 
 
-def test_the_engine_alone_gives_the_steady_state_of_every_mode_to_every_order(scene_with: SceneWith) -> None:
+def test_the_engine_alone_gives_the_steady_state_of_every_mode_to_every_order(scene_with):
     scene = scene_with("engine_forces")
     run = scene.runs[1]
     n_samples, omega = scene.n_samples, run.speed_rpm * np.pi / 30
@@ -56,7 +56,7 @@ def test_the_engine_alone_gives_the_steady_state_of_every_mode_to_every_order(sc
 
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("chain", ["plain", "filtered and late"])
-def test_effects_add_up_and_do_not_know_of_each_other(scene_with: SceneWith, motion: str, chain: str) -> None:
+def test_effects_add_up_and_do_not_know_of_each_other(scene_with, motion, chain):
     late = Acquisition(low_pass_hz=2500.0, ac_coupling_hz=2.0, delay_s={"Z": 2.3e-4})
     more = {**MOTIONS[motion], "acquisition": late if chain != "plain" else Acquisition()}
     together = scene_with(*EFFECTS, **more)
@@ -73,7 +73,7 @@ def test_effects_add_up_and_do_not_know_of_each_other(scene_with: SceneWith, mot
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_a_late_channel_is_the_same_channel_later(scene_with: SceneWith, motion: str) -> None:
+def test_a_late_channel_is_the_same_channel_later(scene_with, motion):
     quiet = [effect for effect in EFFECTS if "noise" not in effect and effect != "broadband"]
     on_time = signal_of(scene_with(*quiet, **MOTIONS[motion]), (run := scene_with(**MOTIONS[motion]).runs[0]))
     late = signal_of(scene_with(*quiet, acquisition=Acquisition(delay_s={"Z": 3 / 8000}), **MOTIONS[motion]), run)
@@ -81,7 +81,7 @@ def test_a_late_channel_is_the_same_channel_later(scene_with: SceneWith, motion:
     assert np.abs(late[0] - on_time[0]).max() < 1e-8 * np.abs(on_time).max()
 
 
-def test_a_recording_does_not_depend_on_the_others_but_differs_from_its_repetition(scene_with: SceneWith) -> None:
+def test_a_recording_does_not_depend_on_the_others_but_differs_from_its_repetition(scene_with):
     scene = scene_with(*EFFECTS)
     first, _, again = scene.runs
     fewer = scene_with(*EFFECTS, speeds=scene.quick.speeds)
@@ -93,7 +93,7 @@ def test_a_recording_does_not_depend_on_the_others_but_differs_from_its_repetiti
 
 
 @pytest.mark.slow
-def test_the_broadband_floor_has_the_density_that_the_truth_states(scene_with: SceneWith) -> None:
+def test_the_broadband_floor_has_the_density_that_the_truth_states(scene_with):
     scene = scene_with("broadband", "sensor_noise", "injected_orders")
     long = scene.model_copy(update={"sampling": scene.sampling.model_copy(update={"duration_s": 200.0})})
     run = long.runs[0]
@@ -109,7 +109,7 @@ def test_the_broadband_floor_has_the_density_that_the_truth_states(scene_with: S
 
 @pytest.mark.parametrize("motion", ["steady", "in cycle"])
 @pytest.mark.parametrize("domain", ["time", "crank_angle"])
-def test_the_truth_is_what_a_sum_over_whole_cycles_finds(scene_with: SceneWith, motion: str, domain: str) -> None:
+def test_the_truth_is_what_a_sum_over_whole_cycles_finds(scene_with, motion, domain):
     more = MOTIONS[motion]
     if domain == "crank_angle":
         by_angle = load_scene("thesis-first-motoring").sampling.model_copy(update={"samples_per_rev": 720, "revs": 20})

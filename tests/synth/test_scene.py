@@ -2,8 +2,6 @@
 
 import json
 import tomllib
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -18,7 +16,7 @@ from crankorder.synth.write import toml_text, write_scene
 from synth.conftest import EFFECTS, SMALL
 
 
-def faults_of(path: Path, text: str) -> list[str]:
+def faults_of(path, text):
     path.write_text(text)
     with pytest.raises(ManyErrors) as caught:
         load_scene(path.name, path.parent)
@@ -26,14 +24,14 @@ def faults_of(path: Path, text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", list(shipped("scenes")))
-def test_every_shipped_scene_loads_with_its_first_look(name: str) -> None:
+def test_every_shipped_scene_loads_with_its_first_look(name):
     scene = load_scene(name)
     quick = scene.first_look()
     assert len({run.name for run in scene.runs}) == len(scene.runs)
     assert quick.n_samples * len(quick.runs) < scene.n_samples * len(scene.runs)
 
 
-def test_all_faults_of_a_scene_are_told_at_once(small_scene: Path) -> None:
+def test_all_faults_of_a_scene_are_told_at_once(small_scene):
     text = small_scene.read_text()
     text = text.replace("list_rpm = [600.0, 612.5, 600.0]", "list_rpm = [600.0, 5000.0, 60000.0]")
     text = text.replace("damping_ratio = 0.02", "damping_ratio = 1.5").replace("Z = 0.012", "Q = 0.012")
@@ -73,7 +71,7 @@ ONE_FAULT = [
 """What is written in place of what, and what is told of it."""
 
 
-def test_one_fault_gets_one_clear_error(small_scene: Path) -> None:
+def test_one_fault_gets_one_clear_error(small_scene):
     text = small_scene.read_text()
     for old, new, words in ONE_FAULT:
         assert old in text
@@ -83,12 +81,12 @@ def test_one_fault_gets_one_clear_error(small_scene: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_scene_that_is_not_there_is_named(tmp_path):
     with pytest.raises(RequestError, match="no such scene; found moon; allowed: bearing-growth"):
         load_scene("moon", tmp_path)
 
 
-def test_a_scene_based_on_another_has_all_but_what_it_states_and_leaves_out(small_scene: Path) -> None:
+def test_a_scene_based_on_another_has_all_but_what_it_states_and_leaves_out(small_scene):
     derived = small_scene.with_name("derived.toml")
     text = 'schema_version = 1\nbased_on = "small.toml"\nwithout = ["encoder"]\ntitle = "derived"\n'
     text += "[speeds]\nlist_rpm = [900.0]\n"
@@ -158,7 +156,7 @@ swapped = ["Y", "V"]
 """
 
 
-def test_what_no_part_alone_shows_is_told_of_every_effect(small_scene: Path) -> None:
+def test_what_no_part_alone_shows_is_told_of_every_effect(small_scene):
     text = small_scene.read_text().replace("force_n = 30.0", 'force_n = 30.0\nshaft = "fan"')
     faults = faults_of(small_scene, text + ASKS)
     for words in (
@@ -212,9 +210,7 @@ STEPS = "first_rpm = 1e-9\nlast_rpm = 600.0\nstep_rpm = 1e-29"
         ),
     ],
 )
-def test_what_cannot_be_made_is_told_before_anything_is_written(
-    tmp_path: Path, speeds: str | None, added: str, words: str
-) -> None:
+def test_what_cannot_be_made_is_told_before_anything_is_written(tmp_path, speeds, added, words):
     head, rest = SMALL.split("[speeds]\nlist_rpm = [600.0, 612.5, 600.0]\n")
     rest = rest.split("duration_s = 0.5\n")[1]  # no first look
     asked = speeds if speeds is not None and speeds.startswith("[") else f"[speeds]\n{speeds or 'list_rpm = [600.0]'}\n"
@@ -231,11 +227,11 @@ def test_what_cannot_be_made_is_told_before_anything_is_written(
 # The folder on disk: what it holds, that it is the same again, and what it must not overwrite.
 
 
-def contents(folder: Path) -> dict[str, bytes]:
+def contents(folder):
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
-def test_a_scene_becomes_an_ordinary_test_run_folder(small_scene: Path, tmp_path: Path) -> None:
+def test_a_scene_becomes_an_ordinary_test_run_folder(small_scene, tmp_path):
     seen: list[tuple[int, int]] = []
     write_scene(small_scene.name, tmp_path / "run", beside=small_scene.parent, progress=lambda *done: seen.append(done))
     assert set(contents(tmp_path / "run")) == {
@@ -255,7 +251,7 @@ def test_a_scene_becomes_an_ordinary_test_run_folder(small_scene: Path, tmp_path
 
 
 @pytest.mark.slow
-def test_crank_angle_files_need_no_encoder(tmp_path: Path) -> None:
+def test_crank_angle_files_need_no_encoder(tmp_path):
     write_scene("thesis-first-motoring", tmp_path / "run", quick=True)
     manifest = tomllib.loads((tmp_path / "run" / "run.toml").read_text())
     assert manifest["sampling"] == {"domain": "crank_angle", "samples_per_rev": 360, "start_deg": 0.0}
@@ -267,7 +263,7 @@ def test_crank_angle_files_need_no_encoder(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_reference_truth_has_the_crossings_of_the_truth_sheet(tmp_path: Path) -> None:
+def test_the_reference_truth_has_the_crossings_of_the_truth_sheet(tmp_path):
     scene = load_scene("thesis-second-motoring")
     crossings = write.truth_of(scene)["crossings"]
     inside = {(record["order"], record["mode_hz"]): record["rpm"] for record in crossings if record["in_range"]}
@@ -279,16 +275,14 @@ def test_the_reference_truth_has_the_crossings_of_the_truth_sheet(tmp_path: Path
     }  # fmt: skip
 
 
-def test_the_same_scene_gives_the_same_bytes_on_any_number_of_workers(
-    small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_scene_gives_the_same_bytes_on_any_number_of_workers(small_scene, tmp_path, monkeypatch):
     write_scene(small_scene.name, tmp_path / "one", beside=small_scene.parent)
     monkeypatch.setattr(write, "MAX_WORKERS", 1)
     write_scene(small_scene.name, tmp_path / "two", beside=small_scene.parent)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
-def test_a_former_scene_is_replaced_whole(small_scene: Path, tmp_path: Path) -> None:
+def test_a_former_scene_is_replaced_whole(small_scene, tmp_path):
     write_scene(small_scene.name, tmp_path / "run", beside=small_scene.parent)
     (tmp_path / "run" / "notes.txt").write_text("mine")
     write_scene(small_scene.name, tmp_path / "run", beside=small_scene.parent, quick=True)
@@ -297,7 +291,7 @@ def test_a_former_scene_is_replaced_whole(small_scene: Path, tmp_path: Path) -> 
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("truth", [None, "{}", '{"scene": {}, "recordings": "x"}', "[1]", "not json"])
-def test_a_folder_with_other_content_is_left_alone(small_scene: Path, tmp_path: Path, truth: str | None) -> None:
+def test_a_folder_with_other_content_is_left_alone(small_scene, tmp_path, truth):
     folder = tmp_path / "data"
     folder.mkdir()
     (folder / "rpm_0600.h5").write_bytes(b"measured")
@@ -309,7 +303,7 @@ def test_a_folder_with_other_content_is_left_alone(small_scene: Path, tmp_path: 
     assert contents(folder) == before
 
 
-def test_a_forged_truth_deletes_nothing_but_recordings_of_the_folder(small_scene: Path, tmp_path: Path) -> None:
+def test_a_forged_truth_deletes_nothing_but_recordings_of_the_folder(small_scene, tmp_path):
     folder, outside = tmp_path / "run", tmp_path / "rpm_1.h5"
     folder.mkdir()
     outside.write_bytes(b"mine")
@@ -320,7 +314,7 @@ def test_a_forged_truth_deletes_nothing_but_recordings_of_the_folder(small_scene
     assert outside.read_bytes() == (folder / "precious.h5").read_bytes() == b"mine"
 
 
-def test_a_bad_scene_and_a_file_for_a_folder_write_nothing(small_scene: Path, tmp_path: Path) -> None:
+def test_a_bad_scene_and_a_file_for_a_folder_write_nothing(small_scene, tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(RequestError, match="not a folder"):
         write_scene(small_scene.name, tmp_path / "file", beside=small_scene.parent)
@@ -330,15 +324,13 @@ def test_a_bad_scene_and_a_file_for_a_folder_write_nothing(small_scene: Path, tm
     assert not (tmp_path / "new").exists()
 
 
-def test_a_write_that_is_cut_off_leaves_no_manifest_and_can_be_repeated(
-    small_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_write_that_is_cut_off_leaves_no_manifest_and_can_be_repeated(small_scene, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     write_scene(small_scene.name, folder, beside=small_scene.parent)
     whole = contents(folder)
     publish = write._publish
 
-    def full_disk(path: Path, fill: Any) -> None:
+    def full_disk(path, fill):
         if path.name == "rpm_0612.5.h5":
             raise OSError(28, "No space left on device", str(path))
         publish(path, fill)
@@ -354,7 +346,7 @@ def test_a_write_that_is_cut_off_leaves_no_manifest_and_can_be_repeated(
 
 
 @pytest.mark.slow
-def test_a_users_engine_travels_with_the_folder(small_scene: Path, tmp_path: Path) -> None:
+def test_a_users_engine_travels_with_the_folder(small_scene, tmp_path):
     (small_scene.parent / "mine.toml").write_text(
         "crank_radius_m = 0.05\nrod_length_m = 0.2\nreciprocating_mass_kg = 1.0\n"
         '[shafts]\norders = [1]\n[[bearings]]\nname = "jack shaft"\nrolling_elements = 9\nball_over_pitch = 0.25\n'
@@ -366,7 +358,7 @@ def test_a_users_engine_travels_with_the_folder(small_scene: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_written_toml_reads_back() -> None:
+def test_written_toml_reads_back():
     table = {
         "text": 'a "quoted"\\ line\nwith \x7f, \x00 and µ',
         "odd key.h5": {"in it": {"e": "µ"}},
@@ -378,7 +370,7 @@ def test_written_toml_reads_back() -> None:
 
 
 @pytest.mark.slow
-def test_repeats_that_a_scene_no_longer_has_go_with_the_former_ones(small_scene: Path, tmp_path: Path) -> None:
+def test_repeats_that_a_scene_no_longer_has_go_with_the_former_ones(small_scene, tmp_path):
     text = small_scene.read_text()
     for repeats in (3, 2):
         small_scene.write_text(text.replace("seed = 7\n", f"seed = 7\nrepeats = {repeats}\n"))

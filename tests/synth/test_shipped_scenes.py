@@ -1,8 +1,6 @@
 """Every shipped scene through the whole analysis: what it put in is found, what it made faulty is told."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -19,7 +17,7 @@ LONG = {"thesis-second-motoring", "thesis-literal-fourfold", "run-up", "bearing-
 class Analysed:
     """A scene's first look, its truth, and what the analysis says of it."""
 
-    def __init__(self, name: str, folder: Path) -> None:
+    def __init__(self, name, folder):
         self.said, self.status, self.folder = [], [], folder / name
         done("synth", name, "--out", folder / name, "--quick", "-q")
         tests = sorted((folder / name).glob("run_*")) or [folder / name]
@@ -34,7 +32,7 @@ class Analysed:
             ]
             assert not [words for findings in self.findings for words in contradictions(findings)]
 
-    def line(self, channel: str, order: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    def line(self, channel, order):
         """What was put in and what was found at an order."""
         found = [
             record
@@ -45,23 +43,23 @@ class Analysed:
         assert found, self.said
         return put_in[0], found[0]
 
-    def holds(self, channel: str, order: float) -> bool:
+    def holds(self, channel, order):
         """Whether the interval of an order's amplitude holds what was put in."""
         put_in, found = self.line(channel, order)
         low, high = found["amplitude_ci95"]
         return bool(low < put_in["amplitude"] < high)
 
-    def flags(self, recording: str) -> set[str]:
+    def flags(self, recording):
         """Flags of one recording."""
         return {flag["flag"] for flag in self.findings[0]["quality"] if flag["recording"] == recording}
 
 
 @pytest.fixture(scope="module")
-def analysed(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def analysed(tmp_path_factory):
     """First looks by name, each made once."""
     made: dict[str, Analysed] = {}
 
-    def analysis(name: str) -> Analysed:
+    def analysis(name):
         if name not in made:
             made[name] = Analysed(name, tmp_path_factory.mktemp(name))
         return made[name]
@@ -69,7 +67,7 @@ def analysed(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return analysis
 
 
-def test_firing_shows_half_orders_an_order_of_magnitude_above_motoring(analysed: Any) -> None:
+def test_firing_shows_half_orders_an_order_of_magnitude_above_motoring(analysed):
     scene = analysed("thesis-second-firing")
     assert scene.status == [0]
     for order in (1.5, 2.0, 2.5, 3.0, 3.5, 4.5):
@@ -83,7 +81,7 @@ def test_firing_shows_half_orders_an_order_of_magnitude_above_motoring(analysed:
     assert scene.line("Z", 2.0)[0]["amplitude"] > 5 * largest[2.0]
 
 
-def test_a_run_up_shows_its_orders_and_natural_frequencies(analysed: Any) -> None:
+def test_a_run_up_shows_its_orders_and_natural_frequencies(analysed):
     scene = analysed("run-up")
     assert scene.status == [0]
     orders = {round(record["order"], 1) for record in scene.findings[0]["orders"] if record["channel"] == "Z"}
@@ -91,7 +89,7 @@ def test_a_run_up_shows_its_orders_and_natural_frequencies(analysed: Any) -> Non
     assert {2.7} <= {round(record["order"], 1) for record in scene.findings[0]["orders"] if record["channel"] == "X"}
 
 
-def test_every_run_of_a_growing_damage_is_a_test_of_its_own_and_names_the_race(analysed: Any) -> None:
+def test_every_run_of_a_growing_damage_is_a_test_of_its_own_and_names_the_race(analysed):
     scene = analysed("bearing-growth")
     assert scene.status == [0, 0]
     assert [found["test"] for found in scene.findings] == ["bearing growth, run 1", "bearing growth, run 2"]
@@ -106,7 +104,7 @@ def test_every_run_of_a_growing_damage_is_a_test_of_its_own_and_names_the_race(a
         assert low < truth["bearings"][0]["order"] < high
 
 
-def test_a_damaged_line_costs_nothing_of_order_5_5(analysed: Any) -> None:
+def test_a_damaged_line_costs_nothing_of_order_5_5(analysed):
     scene = analysed("hard-damaged-line")
     assert scene.holds("X", 5.5)
     assert "encoder_damaged_line" in scene.flags("rpm_1000.h5")
@@ -115,7 +113,7 @@ def test_a_damaged_line_costs_nothing_of_order_5_5(analysed: Any) -> None:
 
 
 @pytest.mark.slow
-def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(analysed: Any) -> None:
+def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(analysed):
     scene = analysed("hard-faulty-signals")
     assert scene.status == [0]
     assert "rpm_1200.h5: channel Y left out of all averages: iepe_overload" in scene.said[0]
@@ -130,7 +128,7 @@ def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(anal
 
 
 @pytest.mark.slow
-def test_what_folds_is_where_the_truth_of_folding_says(analysed: Any) -> None:
+def test_what_folds_is_where_the_truth_of_folding_says(analysed):
     scene = analysed("hard-folding")
     assert "lines_may_fold" in {flag["flag"] for flag in scene.findings[0]["quality"]}
     put_in = next(r for r in scene.truths[0]["orders"] if r["order"] == 353.5 and r["channel"] == "X")
@@ -140,7 +138,7 @@ def test_what_folds_is_where_the_truth_of_folding_says(analysed: Any) -> None:
 
 
 @pytest.mark.slow
-def test_volts_of_a_late_fast_and_filtered_chain_come_back_as_acceleration(analysed: Any) -> None:
+def test_volts_of_a_late_fast_and_filtered_chain_come_back_as_acceleration(analysed):
     scene = analysed("hard-acquisition")
     assert scene.status == [0]
     assert all(scene.holds(channel, 5.5) for channel in "XYZ")
@@ -148,7 +146,7 @@ def test_volts_of_a_late_fast_and_filtered_chain_come_back_as_acceleration(analy
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(shipped("scenes")) - LONG))
-def test_every_scene_is_analysed_or_refused_with_a_reason(analysed: Any, name: str) -> None:
+def test_every_scene_is_analysed_or_refused_with_a_reason(analysed, name):
     scene = analysed(name)
     assert set(scene.status) <= {0, 3, 4}
     assert all("internal fault" not in said for said in scene.said)

@@ -7,10 +7,8 @@ import pytest
 
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.settings import load_settings
-from crankorder.synth.analogue import recorded
 from crankorder.synth.parts import (
     Acquisition,
-    AnySignalFault,
     Clipping,
     Drift,
     Dropout,
@@ -19,6 +17,7 @@ from crankorder.synth.parts import (
     NotANumber,
     Spikes,
 )
+from crankorder.synth.poles import recorded
 from crankorder.synth.signal_faults import impossible_faults, with_signal_faults
 
 Records = list[dict[str, Any]]
@@ -33,30 +32,30 @@ CLEAN.flags.writeable = False
 PEAK = np.abs(CLEAN).max(axis=1)
 
 
-def faulty(*faults: AnySignalFault, seed: int = 1, recording: str = "rpm_1000") -> tuple[np.ndarray, Records]:
+def faulty(*faults, seed=1, recording="rpm_1000"):
     return with_signal_faults(
         CLEAN, faults, names=NAMES, recording=recording, stream=recording, rate_hz=RATE_HZ, seed=seed
     )
 
 
-def found(samples: np.ndarray, name: str) -> list[tuple[str, str]]:
+def found(samples, name):
     """Flags and severities that the pipeline gives to a channel."""
     faults = mend_signal(samples.copy(), settings=load_settings().ingest)
     return [(fault.flag, fault.severity) for fault in faults]
 
 
-def told(records: Records, name: str) -> list[tuple[str, str]]:
+def told(records, name):
     return [(record["flag"], record["severity"]) for record in records if record["channel"] == name]
 
 
-def test_a_clean_signal_has_no_record_no_flag_and_no_copy() -> None:
+def test_a_clean_signal_has_no_record_no_flag_and_no_copy():
     signal, records = faulty()
     assert signal is CLEAN
     assert records == []
     assert [found(row, name) for row, name in zip(CLEAN, NAMES, strict=True)] == [[], []]
 
 
-def test_clipping_is_found_as_it_is_told_also_behind_a_converter() -> None:
+def test_clipping_is_found_as_it_is_told_also_behind_a_converter():
     signal, records = faulty(Clipping(kind="clipping", of_peak=0.6))
     for stored in (signal, recorded(signal, Acquisition(full_scale=20.0, bits=16)).samples):
         for row, name in zip(stored, NAMES, strict=True):
@@ -69,7 +68,7 @@ def test_clipping_is_found_as_it_is_told_also_behind_a_converter() -> None:
         assert (row[~beyond] == clean[~beyond]).all()
 
 
-def test_a_few_missing_samples_are_bridged_and_counted_as_told() -> None:
+def test_a_few_missing_samples_are_bridged_and_counted_as_told():
     for duration_s, samples in ((0.0, 1), (0.0006, 3)):
         signal, records = faulty(NotANumber(kind="not_a_number", at_s=2.0, duration_s=duration_s, channels=("Z",)))
         assert np.flatnonzero(np.isnan(signal[1])).tolist() == list(range(10_000, 10_000 + samples))
@@ -78,7 +77,7 @@ def test_a_few_missing_samples_are_bridged_and_counted_as_told() -> None:
         assert found(signal[0], "Y") == []
 
 
-def test_many_missing_samples_are_a_gap_and_too_many_are_refused_as_told() -> None:
+def test_many_missing_samples_are_a_gap_and_too_many_are_refused_as_told():
     signal, records = faulty(NotANumber(kind="not_a_number", at_s=2.0, duration_s=0.5, channels=("Y",)))
     assert found(signal[0], "Y") == told(records, "Y") == [("gap", "suspect")]
     assert records[0]["n_samples"] == np.isnan(signal[0]).sum() == 2500
@@ -88,7 +87,7 @@ def test_many_missing_samples_are_a_gap_and_too_many_are_refused_as_told() -> No
     assert found(signal[0], "Y") == [("gap", "bad")]
 
 
-def test_a_dropout_is_found_as_it_is_told() -> None:
+def test_a_dropout_is_found_as_it_is_told():
     signal, records = faulty(Dropout(kind="dropout", at_s=4.0, duration_s=0.5))
     for row, name in zip(signal, NAMES, strict=True):
         assert not row[20_000:22_500].any()
@@ -99,7 +98,7 @@ def test_a_dropout_is_found_as_it_is_told() -> None:
     assert (signal[:, rest] == CLEAN[:, rest]).all()
 
 
-def test_spikes_are_single_samples_of_the_stated_height_where_the_record_says() -> None:
+def test_spikes_are_single_samples_of_the_stated_height_where_the_record_says():
     signal, records = faulty(Spikes(kind="spikes", count=12, times_peak=7.0))
     for clean, row, peak, record in zip(CLEAN, signal, PEAK, records, strict=True):
         changed = np.flatnonzero(row != clean)
@@ -111,7 +110,7 @@ def test_spikes_are_single_samples_of_the_stated_height_where_the_record_says() 
     assert records[0]["samples"] != records[1]["samples"]
 
 
-def test_an_overload_is_a_step_that_decays() -> None:
+def test_an_overload_is_a_step_that_decays():
     fault = IepeOverload(kind="iepe_overload", at_s=1.0001, times_peak=25.0, decay_s=0.4)
     signal, records = faulty(fault)
     added = signal - CLEAN
@@ -122,13 +121,13 @@ def test_an_overload_is_a_step_that_decays() -> None:
         assert row == pytest.approx(exact, abs=1e-12 * 25 * peak)
 
 
-def test_drift_is_an_offset_and_a_straight_rise() -> None:
+def test_drift_is_an_offset_and_a_straight_rise():
     signal, records = faulty(Drift(kind="drift", offset_m_s2=3.0, drift_m_s2=-20.0))
     assert (signal - CLEAN)[0] == pytest.approx(3.0 - 20.0 * np.arange(N) / (N - 1), abs=1e-12)
     assert told(records, "Y") == [("drift", "info")]
 
 
-def test_dropped_samples_let_what_follows_come_early() -> None:
+def test_dropped_samples_let_what_follows_come_early():
     signal, records = faulty(DroppedSamples(kind="dropped_samples", at_s=2.0, count=100, channels=("Z",)))
     assert (signal[0] == CLEAN[0]).all()
     assert (signal[1, :10_000] == CLEAN[1, :10_000]).all()
@@ -137,7 +136,7 @@ def test_dropped_samples_let_what_follows_come_early() -> None:
     assert (records[0]["first_sample"], records[0]["dropped"]) == (10_000, 100)
 
 
-def test_only_the_named_recordings_and_channels_have_a_fault() -> None:
+def test_only_the_named_recordings_and_channels_have_a_fault():
     fault = Dropout(kind="dropout", at_s=1.0, duration_s=1.0, channels=("Z",), recordings=("rpm_2000",))
     assert faulty(fault)[0] is CLEAN
     signal, records = faulty(fault, recording="rpm_2000")
@@ -156,7 +155,7 @@ def test_only_the_named_recordings_and_channels_have_a_fault() -> None:
         (Spikes(kind="spikes", count=N + 1), "count"),
     ],
 )
-def test_what_a_recording_is_too_short_for_is_told_beforehand(fault: AnySignalFault, place: str) -> None:
+def test_what_a_recording_is_too_short_for_is_told_beforehand(fault, place):
     (told_fault,) = impossible_faults((Drift(kind="drift"), fault), n_samples=N, duration_s=N / RATE_HZ)
     assert told_fault[1] == f"signal_faults.1.{place}"
     with pytest.raises(ValueError, match=r"fault|dropped|larger sample"):

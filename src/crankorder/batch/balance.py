@@ -145,7 +145,7 @@ def _of_hinges(balance: Balance, settings: ReportSettings) -> Parts:
     import xarray as xr
 
     from crankorder.batch.plan import folder_name
-    from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
+    from crankorder.report.balance.cycle_figures import guide_figure, hinge_figure
 
     engine, sheet = balance.subject, balance.sheet
     assert isinstance(engine, HingedEngine)

@@ -16,7 +16,6 @@ import numpy as np
 import xarray as xr
 
 from crankorder.batch import result_folder, run_log
-from crankorder.batch.changed_gains import short_recordings, without_changed_gains
 from crankorder.batch.frame_store import FrameStore, PackedResult
 from crankorder.batch.kernels import load_kernels
 from crankorder.batch.locks import locked
@@ -25,19 +24,15 @@ from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, publish_ind
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
+from crankorder.checks.doubts import Doubts
+from crankorder.checks.gathered import RecordingResult
 from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
-from crankorder.findings import Channel, Findings, Quality, SpeedSwing, nothing_sought, quality_of
-from crankorder.identify.causes.cycle_forces import cycle_doubts
-from crankorder.identify.machine_model import MachineModel
-from crankorder.orders.true_angle import NAMES
-from crankorder.quantities import QualityFlag, Severity, flags_of
+from crankorder.findings import Findings, quality_of
+from crankorder.identify.machine_model import MachineModel, cycle_doubts
+from crankorder.quantities import QualityFlag, remark
 from crankorder.settings import Settings, toml_table
-from crankorder.shaft.tooth_errors import speed_swing
-from crankorder.stages import RecordingResult, analyse_recording, analyse_test, frames_wanted
-
-NOT_ASKED_FOR = "not asked for: the recipe wants {results} only"
-OF_SHAFT_ALONE = "not sought: no vibration was recorded, the shaft alone"
+from crankorder.stages import analyse_recording, analyse_test, compare_recordings, frames_wanted
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
@@ -115,15 +110,14 @@ def run_test(
         if options.keep_only:
             outcome.status = "kept"
             return outcome
-        results = without_changed_gains(results, settings=plan.settings.ingest)
-        outcome.flags += short_recordings(results.values())
+        doubts = compare_recordings(results, strict=options.strict, settings=plan.settings)
         clock.lap("recordings")
-        outcome.faults += left_out_of(results, ("bad", "suspect") if options.strict else ("bad",))
-        outcome.notes += channels_left_out(results)
-        if not results:
+        outcome.faults += doubts.left_out.values()
+        outcome.notes += doubts.channels_left_out
+        if len(doubts.left_out) == len(results):
             remedy = "Mend the faults listed above"
             raise NoUsableRecordingError("no recording could be used", file=plan.folder, remedy=remedy)
-        _finish(plan, results, provenance, key, outcome, reporting, clock)
+        _finish(plan, results, doubts, provenance, key, outcome, reporting, clock)
     except CrankorderError as error:
         outcome.faults.append(error)
         outcome.status, outcome.findings = "failed", None
@@ -135,7 +129,8 @@ def run_test(
 
 def _finish(
     plan: CampaignPlan,
-    results: dict[Path, RecordingResult],
+    results: list[RecordingResult],
+    doubts: Doubts,
     provenance: Mapping[str, object],
     key: str,
     outcome: Outcome,
@@ -146,6 +141,7 @@ def _finish(
     sources = sources_of(plan.manifest, engine_of_test(plan), plan.settings)
     groups, findings, left_out = results_of_test(
         results,
+        doubts,
         test=plan.name,
         sources=sources,
         settings=plan.settings,
@@ -174,61 +170,33 @@ def _finish(
 
 
 def results_of_test(
-    results: dict[Path, RecordingResult],
+    results: list[RecordingResult],
+    doubts: Doubts,
     *,
     test: str,
     sources: MachineModel,
     settings: Settings,
-    flags: list[QualityFlag],
     faults: list[CrankorderError],
+    flags: Sequence[QualityFlag] = (),
     name_of: Callable[[Path], str] = Path.as_posix,
 ) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError]]:
     """Datasets by group and findings of the ``test`` of that name, and faults of recordings that the maps leave out.
 
-    ``results`` of its recordings by file; ``sources``: what the machine is made of; ``settings`` of all stages;
-    ``flags`` and ``faults`` of the test so far, which the findings tell too; ``name_of``: the recording of a file.
+    ``results`` of its recordings, of which ``doubts`` leave some out; ``sources``: what the machine is made of;
+    ``settings`` of all stages; ``flags`` and ``faults`` of the test so far, which the findings tell too; ``name_of``:
+    the recording of a file.
     """
-    made = analyse_test(list(results.values()), test=test, sources=sources, settings=settings)
-    findings = made.findings or _unsought_findings(made.datasets, test=test, settings=settings)
+    made = analyse_test(results, doubts, test=test, sources=sources, settings=settings)
     left_out: list[CrankorderError] = [
         InputError("left out of the order map", file=flag.recording, found=flag.detail)
-        for flag in findings.quality
+        for flag in made.findings.quality
         if flag.flag == "frame_length_differs"
     ]
-    of_recordings = [flag for result in results.values() for flag in result.flags]
-    told = [flag for flag in quality_of(of_recordings) if flag not in findings.quality]
-    not_used: list[QualityFlag] = [
-        {"recording": name_of(Path(fault.file)), "flag": "not_used", "severity": "bad", "detail": str(fault)}
-        for fault in (*faults, *left_out)
-    ]
-    quality = (*findings.quality, *told, *quality_of(flags), *quality_of(not_used))
-    highest, two_stroke = settings.orders.max_order, sources.two_stroke
-    quality += tuple(cycle_doubts(findings.orders, two_stroke=two_stroke, engine=sources.engine, max_order=highest))
-    most_deg = settings.orders.largest_eccentricity_deg
-    findings = replace(findings, quality=quality, speed_swing=_swing_records(results, quality, most_deg=most_deg))
-    return made.datasets, findings, left_out
-
-
-def _unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: Settings) -> Findings:
-    """Findings with nothing in them and the reason under ``not_asked_for``.
-
-    ``datasets`` are the results of the ``test`` of that name, ``settings`` say which were asked for.
-    """
-    flags: list[QualityFlag] = []
-    for dataset in datasets.values():
-        flags += [flag for flag in flags_of(dataset) if flag not in flags]
-    maps = [dataset for dataset in datasets.values() if "channel" in dataset.variables]
-    columns = (maps[0][name].values.tolist() if maps else [] for name in ("channel", "unit", "quantity"))
-    of_shaft = [datasets["shaft"][name].values for name in ("speed_min", "speed_max")]
-    of_maps = [dataset["speed"].values for dataset in maps if "speed" in dataset.variables]
-    speeds = np.concatenate(of_maps if maps else of_shaft)
-    known = speeds[np.isfinite(speeds)]
-    wanted = ", ".join(name.replace("_", " ") for name in settings.report.results)
-    reason = NOT_ASKED_FOR.format(results=wanted) if wanted else OF_SHAFT_ALONE
-    made = tuple(Channel(name=name, unit=unit, quantity=kind) for name, unit, kind in zip(*columns, strict=True))
-    tested = (float(known.min()), float(known.max())) if known.size else (None, None)
-    quality = quality_of(flags)
-    return nothing_sought(test, reason=reason, channels=made, speed_range_rpm=tested, quality=quality)
+    not_used = [remark(name_of(Path(fault.file)), "not_used", str(fault), "bad") for fault in (*faults, *left_out)]
+    highest, orders = settings.orders.max_order, made.findings.orders
+    cycle = cycle_doubts(orders, two_stroke=sources.two_stroke, engine=sources.engine, max_order=highest)
+    quality = (*made.findings.quality, *quality_of([*flags, *doubts.lengths, *not_used]), *cycle)
+    return made.datasets, replace(made.findings, quality=quality), left_out
 
 
 class _Clock:
@@ -250,7 +218,7 @@ def _analyse(
     made_by: tuple[str, dict[str, str]],
     outcome: Outcome,
     progress: Progress | None,
-) -> dict[Path, RecordingResult]:
+) -> list[RecordingResult]:
     """Results of the usable recordings in the order of the plan; the faults of the others join the outcome.
 
     What the program ``made_by`` (its hash, versions of libraries) gave of a recording with these ``hashes`` before is
@@ -293,7 +261,7 @@ def _analyse(
         store.keep_only(keys)
     place = {plan.name_of(path): number for number, path in enumerate(plan.recordings)}
     outcome.faults.sort(key=lambda fault: place.get(plan.name_of(Path(fault.file)), -1))
-    return {path: results[path] for path in wanted if path in results}
+    return [results[path] for path in wanted if path in results]
 
 
 def _on_cluster(
@@ -348,13 +316,10 @@ def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list
     first_of: dict[str, Path] = {}
     wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
     first = set(wanted)
-    flags: list[QualityFlag] = [
-        {
-            "recording": plan.name_of(path),
-            "flag": "duplicate_of",
-            "severity": "info",
-            "detail": f"the same bytes as {plan.name_of(first_of[alike[path]])}: counted once",
-        }
+    flags = [
+        remark(
+            plan.name_of(path), "duplicate_of", f"the same bytes as {plan.name_of(first_of[alike[path]])}: counted once"
+        )
         for path in plan.recordings
         if path not in first
     ]
@@ -418,45 +383,6 @@ def _collect(
         outcome.internal.append(error)
 
 
-def left_out_of(results: dict[Path, RecordingResult], severities: tuple[Severity, ...]) -> list[CrankorderError]:
-    """Faults of the recordings that leave ``results`` (changed in place): bad data take no part in averages.
-
-    Those with a flag of one of ``severities`` leave; what a flag says was left out already, a channel or a stretch of
-    it, does not take the recording along.
-    """
-    faults: list[CrankorderError] = []
-    for path, result in list(results.items()):
-        fault = fault_of(result.name, result.flags, severities)
-        if fault is not None:
-            del results[path]
-            faults.append(fault)
-    return faults
-
-
-def fault_of(name: str, flags: Sequence[QualityFlag], severities: tuple[Severity, ...] = ("bad",)) -> InputError | None:
-    """Why the recording ``name`` takes no part, None where it does: its ``flags`` of one of the ``severities``."""
-    told = [flag for flag in flags if flag["severity"] in severities]
-    doubts = [flag for flag in told if "suspect" in severities or "left_out" not in flag]
-    if not doubts:
-        return None
-    found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
-    problem = "left out of all averages" if severities == ("bad",) else "refused by --strict"
-    return InputError(problem, file=name, found=found)
-
-
-def channels_left_out(results: dict[Path, RecordingResult]) -> list[str]:
-    """Which channels of the recordings in ``results`` take no part in averages, and why, a sentence each."""
-    said: dict[tuple[str, str], list[str]] = {}
-    for result in results.values():
-        for flag in result.flags:
-            if flag.get("left_out") == "channel" and flag["severity"] == "bad":
-                said.setdefault((result.name, flag["channel"]), []).append(f"{flag['flag']} ({flag['detail']})")
-    return [
-        f"{printable(name)}: channel {printable(channel)} left out of all averages: {'; '.join(why)}"
-        for (name, channel), why in said.items()
-    ]
-
-
 def _provenance(
     plan: CampaignPlan, code: str, versions: dict[str, str], hashes: dict[Path, HashedFile]
 ) -> dict[str, object]:
@@ -504,34 +430,3 @@ def _accuracy_text(order_map: xr.Dataset | None) -> str:
         f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {measured}, "
         f"{asked:g} asked{missed}"
     )
-
-
-def _swing_records(
-    results: dict[Path, RecordingResult], flags: Sequence[Quality], *, most_deg: float
-) -> tuple[SpeedSwing, ...]:
-    """Swing of the speed of every recording within its cycle, by order, the largest first; only what is certain.
-
-    What ``flags`` say that the encoder itself makes is no motion of the shaft. An encoder that is off by ``most_deg``
-    once per turn, by 1/k² of it at harmonic k, could show those that are no larger.
-    """
-    of_encoder = {order for order, name in NAMES.items() if any(flag.flag == f"encoder_{name}" for flag in flags)}
-    records = []
-    for result in results.values():
-        swing = speed_swing(result.shaft)
-        if swing is None:
-            continue
-        sure = swing.told & ~np.isin(swing.orders, list(of_encoder))
-        for place in sorted(np.flatnonzero(sure).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
-            order, amplitude_rpm = float(swing.orders[place]), float(swing.amplitude_rpm[place])
-            off_deg = np.degrees(amplitude_rpm / swing.speed_rpm / order)
-            records.append(
-                SpeedSwing(
-                    recording=printable(result.name),
-                    speed_rpm=swing.speed_rpm,
-                    order=order,
-                    amplitude_rpm=amplitude_rpm,
-                    may_be_encoder=order in NAMES and bool(off_deg <= most_deg / order**2),
-                    steady_rpm=float(swing.steady_rpm[place]),
-                )
-            )
-    return tuple(records)

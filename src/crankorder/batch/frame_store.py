@@ -19,9 +19,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.checks.gathered import RecordingResult
 from crankorder.quantities import Attribute, QualityFlag, ShaftAngle, unindexed
 from crankorder.scratch import empty
-from crankorder.stages import FRAMES_OF, RecordingResult
+from crankorder.stages import FRAMES_OF
 
 STORE = ".crankorder-frames"
 """Folder in a folder of results that holds what recordings gave, a folder for each test."""

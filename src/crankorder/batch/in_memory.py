@@ -8,17 +8,17 @@ from typing import Any
 
 import xarray as xr
 
-from crankorder.batch.changed_gains import without_changed_gains
-from crankorder.batch.execute import channels_left_out, left_out_of, results_of_test
+from crankorder.batch.execute import results_of_test
 from crankorder.batch.machine import sources_of
 from crankorder.batch.plan import settings_for
+from crankorder.checks.gathered import RecordingResult
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
 from crankorder.findings import Findings
 from crankorder.ingest.manifest import manifest_head, manifest_of
 from crankorder.quantities import check_dataset
 from crankorder.settings import Settings
-from crankorder.stages import RecordingResult, analyse_recording
+from crankorder.stages import analyse_recording, compare_recordings
 
 Recordings = xr.Dataset | Sequence[xr.Dataset]
 """One Recording, or several of one test."""
@@ -57,21 +57,21 @@ def analysed(
     manifest = manifest_of({**manifest_head(test, cycle, channels), **stated}, Path("machine"))
     settings, known = settings_for(manifest, settings), engine_of(engine)
     faults: list[CrankorderError] = []
-    results: dict[Path, RecordingResult] = {}
-    for name, recording in given.items():
+    results: list[RecordingResult] = []
+    for recording in given.values():
         try:
-            results[Path(name)] = analyse_recording(recording, manifest, settings, known)
+            results.append(analyse_recording(recording, manifest, settings, known))
         except InputError as error:
             faults.append(error)
-    results = without_changed_gains(results, settings=settings.ingest)
-    faults += left_out_of(results, ("bad", "suspect") if strict else ("bad",))
-    if not results:
+    doubts = compare_recordings(results, strict=strict, settings=settings)
+    faults += doubts.left_out.values()
+    if len(doubts.left_out) == len(results):
         raise faults[0] if len(faults) == 1 else NoUsableRecordingError("no recording could be used", found=faults[0])
     sources = sources_of(manifest, known, settings)
     groups, findings, left_out = results_of_test(
-        results, test=test, sources=sources, settings=settings, flags=[], faults=faults
+        results, doubts, test=test, sources=sources, settings=settings, faults=faults
     )
-    return groups, findings, [*faults, *left_out, *channels_left_out(results)]
+    return groups, findings, [*faults, *left_out, *doubts.channels_left_out]
 
 
 def _each(recordings: Recordings) -> dict[str, xr.Dataset]:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from crankorder.batch.execute import fault_of
 from crankorder.batch.plan import settings_for
 from crankorder.batch.workers import WorkerDiedError, each
+from crankorder.checks.doubts import fault_of
 from crankorder.errors import CrankorderError, InputError
 from crankorder.ingest.check import check_folder
 from crankorder.ingest.folder import recordings_of

@@ -18,8 +18,9 @@ from crankorder.engine.crankshaft import CrankshaftBalance, CrankshaftData, cran
 from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.gas import firing_intervals_deg
-from crankorder.engine.machine_parts import NOT_EMPTY, EngineData, Positive
+from crankorder.engine.machine_parts import ASCENDING, NOT_EMPTY, EngineData, Positive
 from crankorder.engine.shafts import (
+    BalanceTolerances,
     GearTolerances,
     GearTrain,
     Series,
@@ -33,7 +34,6 @@ from crankorder.engine.shafts import (
     wheels_force,
 )
 from crankorder.engine.slider_crank import SliderCrank, acceleration_harmonics
-from crankorder.engine.tolerance_study import BalanceTolerances
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.records import Record, said
 from crankorder.settings import toml_table, validation_fault
@@ -158,15 +158,8 @@ class BalanceData(EngineData):
     residual_classes: tuple[UnbalanceClass, ...] = Field(default=(), strict=False)
     gears: GearTrain | None = None
     design_orders: tuple[DesignOrder, ...] = Field(default=(1, 2), strict=False)
-    design_planes_m: tuple[float, float] | None = Field(default=None, strict=False)
+    design_planes_m: Annotated[tuple[float, float] | None, ASCENDING] = Field(default=None, strict=False)
     tolerances: BalanceTolerances | None = None
-
-    @field_validator("design_planes_m")
-    @classmethod
-    def _two_planes(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
-        if value is not None and value[0] >= value[1]:
-            raise ValueError("must be two ascending positions")
-        return value
 
 
 @dataclass(frozen=True, kw_only=True)

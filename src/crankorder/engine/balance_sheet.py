@@ -59,9 +59,16 @@ from crankorder.engine.shaft_design import (
     whole_force,
     whole_moments,
 )
-from crankorder.engine.shafts import Possibility, ShaftPairParts, pair_rounding_g_mm, parts_unbalance_g_mm, shaft_layout
+from crankorder.engine.shafts import (
+    Possibility,
+    SeriesResiduals,
+    ShaftPairParts,
+    pair_rounding_g_mm,
+    parts_unbalance_g_mm,
+    shaft_layout,
+    tolerance_sentences,
+)
 from crankorder.engine.slider_crank import acceleration_harmonics, dead_centres, fastest_piston
-from crankorder.engine.tolerance_study import SeriesResiduals, tolerance_sentences
 from crankorder.errors import RequestError, plain_number
 from crankorder.records import Record, said
 

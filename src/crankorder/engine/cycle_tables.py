@@ -14,8 +14,8 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.forces import CylinderLoads, cylinder_loads, inertia_torque, main_bearing_loads
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.shaft_design import listed
-from crankorder.engine.slider_crank import last_order_above_round_off
-from crankorder.engine.torsional_fluctuation import Complex, Floats, lag_from_torque, over_a_cycle
+from crankorder.engine.slider_crank import Complex, last_order_above_round_off
+from crankorder.engine.torsional_fluctuation import Floats, lag_from_torque, over_a_cycle
 from crankorder.errors import RequestError, plain_number
 from crankorder.records import Record, said
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
-from crankorder.engine.machine_parts import NOT_EMPTY, Bearing, EngineData, NonNegative, Positive
+from crankorder.engine.machine_parts import ASCENDING, NOT_EMPTY, Bearing, EngineData, NonNegative, Positive
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import toml_table, validation_fault
@@ -162,7 +162,7 @@ class GasCurve(EngineData):
     and pressure_pa or torque_n_m take their place. ``ideal``: in place of any curve.
     """
 
-    crank_angle_deg: tuple[float, ...] | None = Field(default=None, strict=False)
+    crank_angle_deg: Annotated[tuple[float, ...] | None, ASCENDING] = Field(default=None, strict=False)
     pressure_pa: tuple[float, ...] | None = Field(default=None, strict=False)
     torque_n_m: tuple[float, ...] | None = Field(default=None, strict=False)
     ideal: IdealCycle | None = None
@@ -171,13 +171,9 @@ class GasCurve(EngineData):
 
     @field_validator("crank_angle_deg")
     @classmethod
-    def _ascends(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if value is None:
-            return value
-        if len(value) < 2:
+    def _two_angles(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
+        if value is not None and len(value) < 2:
             raise ValueError("must have at least 2 entries")
-        if any(after <= before for before, after in pairwise(value)):
-            raise ValueError("must ascend")
         return value
 
     @field_validator("pressure_pa", "torque_n_m")

@@ -27,10 +27,9 @@ from crankorder.engine.hinged_crank import (
     potential_torque,
     rod_motion,
 )
+from crankorder.engine.slider_crank import Angles
 from crankorder.errors import RequestError
 from crankorder.records import Record, said
-
-Angles = NDArray[np.float64]
 
 PinHinge = Literal["full", "potential", "printed"]
 """What the hinge at the crank pin gives. ``"full"``: all of M12, so that no side force is left; only where G = 0 can a
@@ -246,8 +245,6 @@ def pin_hinge_work(crank: HingedCrank, torque: CrankTorque, *, pin_hinge: PinHin
     ``crank``: lengths and weights. ``torque``: of the crank. ``pin_hinge``: zero for "potential" only.
     Source: truth sheet 4.4.
     """
-    if pin_hinge == "potential":
-        return 0.0
     static = crank.static_moment_nm * mean_rod_cosine(crank)
     return 2 * np.pi * (static - withheld_moment(crank, torque, pin_hinge=pin_hinge))
 
@@ -419,8 +416,8 @@ def hinge_guides(table: HingeTable, data: GuideData) -> Guides:
     """
     swing = float(np.ptp(table.work_j))
     if swing == 0 or abs(table.work_j[-1]) > 1e-6 * swing:
-        raise RequestError("a spring in guides gives no work in a turn, and some moment within it",
-                           found=f"{table.work_j[-1]} J a turn")  # fmt: skip
+        problem = "a spring in guides gives no work in a turn, and some moment within it"
+        raise RequestError(problem, found=f"{table.work_j[-1]} J a turn")
     least, most = data.least_compression_m, data.most_compression_m
     stiffness = 2 * swing / ((most - least) * (most + least))
     compression = np.sqrt(least**2 + 2 / stiffness * (table.work_j.max() - table.work_j))

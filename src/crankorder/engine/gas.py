@@ -116,8 +116,7 @@ def firing_intervals_deg(engine: Engine) -> tuple[float, ...]:
 
 
 def _interpolated(engine: Engine, cycle_angle_rev: Angles, values: tuple[float, ...]) -> Angles:
-    assert engine.gas is not None
-    assert engine.gas.crank_angle_deg is not None
+    assert engine.gas is not None and engine.gas.crank_angle_deg is not None  # a curve has its angles
     period_deg = 360.0 * engine.revs_per_cycle
     return np.interp(360 * cycle_angle_rev, engine.gas.crank_angle_deg, values, period=period_deg)
 

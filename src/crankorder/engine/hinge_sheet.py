@@ -11,7 +11,6 @@ import numpy as np
 
 from crankorder.engine.elastic_hinge import (
     AirSpring,
-    Angles,
     Joint,
     PinHinge,
     Weight,
@@ -39,6 +38,7 @@ from crankorder.engine.hinged_crank import (
     torque_extrema,
     torque_harmonics,
 )
+from crankorder.engine.slider_crank import Angles
 from crankorder.errors import RequestError
 from crankorder.records import Record, said
 

@@ -20,6 +20,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInf
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Entries = TypeVar("Entries", bound=Sized)
+Numbers = TypeVar("Numbers", bound=tuple[float, ...] | None)
 
 
 def _not_empty(value: Entries) -> Entries:
@@ -28,8 +29,16 @@ def _not_empty(value: Entries) -> Entries:
     return value
 
 
+def _ascending(value: Numbers) -> Numbers:
+    if value is not None and any(after <= before for before, after in pairwise(value)):
+        raise ValueError("must ascend")
+    return value
+
+
 NOT_EMPTY = AfterValidator(_not_empty)
 """For lists; ``min_length`` counts the sound entries alone and so blames the list too for a fault of an entry."""
+ASCENDING = AfterValidator(_ascending)
+"""For lists of numbers, or None: each above the one before."""
 CATALOGUE = "bearings.toml"
 PUBLISHED_SUM_TOLERANCE = 0.01
 """Published BPFO and BPFI must add up to the number of rolling elements within this share: they do for any geometry."""

@@ -14,12 +14,11 @@ from crankorder.engine.balance_data import Amounts, BalancedEngine, newton, spee
 from crankorder.engine.balancing import OrderForce
 from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, Weight
 from crankorder.engine.forces import CANCELLED, DIRECTIONS, X, Z, crankcase_forces, crankcase_moments
+from crankorder.engine.shafts import ONE_RADIAN_PER_S_RPM, SeriesResiduals, series_residuals
 from crankorder.engine.slider_crank import acceleration_harmonics
-from crankorder.engine.tolerance_study import SeriesResiduals, series_residuals
 from crankorder.errors import plain_number
 from crankorder.records import Record, said
 
-ONE_RADIAN_PER_S_RPM = 30 / math.pi
 NOTHING = 1e-12
 """Of what the cylinders make one by one: what is left below it of a sum over them is round-off."""
 
@@ -157,14 +156,14 @@ def roll_height_m(engine: Engine) -> float | None:
 def _weights(motion: OrderMotion, sense: int, planes_m: tuple[float, float]) -> tuple[Weight, ...]:
     """Weights in two planes, of a shaft at the order of ``motion``, against the part of it that turns one way."""
     force, couple = (part.direct_g_mm if sense > 0 else part.reverse_g_mm for part in (motion.force, motion.couple))
-    needs = -force / motion.force.order**2, -couple / motion.force.order**2
+    force, couple = -force / motion.force.order**2, -couple / motion.force.order**2
     if not force and not couple:
         return ()
-    first, second = (1e3 * place for place in planes_m)
-    if first == second:
-        return (_weight(needs[0], planes_m[0]),) if force else ()
-    at_second = (needs[1] - first * needs[0]) / (second - first)
-    return _weight(needs[0] - at_second, planes_m[0]), _weight(at_second, planes_m[1])
+    first_m, second_m = planes_m
+    if first_m == second_m:
+        return (_weight(force, first_m),) if force else ()
+    at_second = (couple - 1e3 * first_m * force) / (1e3 * second_m - 1e3 * first_m)
+    return _weight(force - at_second, first_m), _weight(at_second, second_m)
 
 
 def _weight(unbalance: complex, position_m: float) -> Weight:

@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import inertia_torque
 from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.slider_crank import Complex
 from crankorder.errors import RequestError
 
 Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 SHORTEST_STEP = 1e-4
 """Finest step that orders of a lag may share."""

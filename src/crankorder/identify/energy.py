@@ -43,9 +43,8 @@ def energy_shares(
     ``unexplained`` is ``unexplained_lines`` (orders and tones without a known cause) and ``unexplained_cells`` (what
     cells of the map have above the fitted surface where they stand over it; noise puts any cell of the map there with a
     chance of 1 %, and no single one with more than ``settings.false_alarm_probability``; where none was fitted, lines
-    that nobody named and that are sharper or steadier than ``settings.least_damping_ratio`` allows). At each speed a
-    line has amplitude² / 2, or all that stands over the surface in its own cells if that is clearly more, and never
-    more than these hold; where it was not seen, what stands there on the mean of those speeds.
+    that nobody named and that are sharper or steadier than ``settings.least_damping_ratio`` allows). A line has
+    what stands over the surface in its own cells; where several share cells, as their amplitudes have it.
 
     The fraction is the mean over the channels of unexplained / (orders + tones + unexplained):
     of the energy that is not broadband, the share without a known cause; in a channel without any line, of all its
@@ -269,10 +268,9 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
     """Mean square of each part of one channel and in ``total``, over the rows that hold data."""
     grid, lines = looked.grid, looked.lines
     rows = np.flatnonzero(np.isfinite(grid.energy[number]).all(axis=-1))
-    share, owner = grid.share[rows], looked.owner[rows]
-    energy, expected = share * grid.energy[number, rows], share * looked.surface[number, rows]
-    has_lines = lines.centre.shape[1] > 0
-    of_line = _energy_of_lines(grid, lines, number, (rows, owner, energy, expected)) if has_lines else np.zeros(0)
+    share = grid.share[rows]
+    energy = share * grid.energy[number, rows]
+    of_line = _energy_of_lines(looked, number, rows, energy) if lines.centre.shape[1] else np.zeros(0)
     known, tone = lines.known[number], lines.is_tone
     parts = {
         "orders": of_line[known & ~tone].sum(),
@@ -284,36 +282,24 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
     return {name: float(part) / max(1, len(rows)) for name, part in parts.items()}
 
 
-def _energy_of_lines(
-    grid: EnergyMap, lines: EnergyLines, number: int, cells: tuple[Ints, Ints, Floats, Floats]
-) -> Floats:
-    """Energy of each line in channel ``number``, summed over the rows.
+def _energy_of_lines(looked: _LookedAt, number: int, rows: Ints, energy: Floats) -> Floats:
+    """Energy of each line in channel ``number``, summed over the ``rows``, of which the cells have the ``energy``.
 
-    ``cells``: the rows, and in them (rows, cells) the owner, the energy and what is expected without lines. Lines whose
-    main lobes meet share what stands in their cells as their amplitudes have it: no cell tells which of them made it.
+    It is what stands in its cells over the surface. Lines whose main lobes meet share that as their amplitudes have
+    it: no cell tells which of them made it.
     """
-    rows, owner, energy, expected = cells
-    n_lines, stated = lines.centre.shape[1], np.nan_to_num(lines.stated[number, rows])
-    seen = np.isfinite(lines.stated[number, rows]) & _inside(grid, lines)[rows]
-    place = (np.arange(len(rows))[:, None] * n_lines + owner)[owner >= 0]
-    own = [energy[owner >= 0], expected[owner >= 0], np.ones(len(place))]
-    alone = [_sums(place, values, seen.shape) for values in own]
+    grid, lines, owner = looked.grid, looked.lines, looked.owner[rows]
+    over = energy - grid.share[rows] * looked.surface[number, rows]
+    shape = owner.shape[0], lines.centre.shape[1]
+    place = (np.arange(len(rows))[:, None] * shape[1] + owner)[owner >= 0]
     group = _groups(lines.centre[rows], MAP_NUMBERS.line_bins * float(grid.axis[1] - grid.axis[0]))
 
     def together(values: Floats) -> Floats:
-        return np.asarray(_sums(group.ravel(), values.ravel(), seen.shape).ravel()[group])
+        return np.asarray(_sums(group.ravel(), values.ravel(), shape).ravel()[group])
 
-    there, floor, count = (together(values) for values in alone)
-    named, members = together(np.where(seen, stated, 0.0)), together(seen.astype(np.float64))
-    # the sum of so many powers of noise, and of what it makes of a line, scatters by this share of them
-    held = np.maximum(1.0, count)
-    each, root = floor / held, np.sqrt(np.maximum(grid.averages[rows], 1.0))[:, None]
-    scatter = (np.sqrt(held) * each + np.sqrt(2.0 * named * each)) / root
-    more = there - floor - named > NUMBERS.clear_sigmas * scatter
-    both = np.clip(np.where(more, there - floor, named), 0.0, there)
-    part = np.where(named > 0.0, stated / np.where(named > 0.0, named, 1.0), 1.0 / np.maximum(members, 1.0))
-    unseen = np.where(members > 0.0, 0.0, alone[0] - alone[1]).sum(axis=0)
-    return np.asarray(np.where(seen, part * both, 0.0).sum(axis=0) + np.maximum(0.0, unseen))
+    weight = np.nan_to_num(lines.stated[number, rows]) + 1e-150  # alike where none of a group was seen
+    part = weight / together(weight)
+    return np.asarray(np.maximum(0.0, (part * together(_sums(place, over[owner >= 0], shape))).sum(axis=0)))
 
 
 def _groups(centre: Floats, near: float) -> Ints:
@@ -324,16 +310,6 @@ def _groups(centre: Floats, near: float) -> Ints:
     group = np.empty(centre.shape, dtype=np.int64)
     np.put_along_axis(group, rank, label, axis=1)
     return np.asarray(group + np.arange(len(centre))[:, None] * centre.shape[1], dtype=np.int64)
-
-
-def _inside(grid: EnergyMap, lines: EnergyLines) -> Bools:
-    """Whether the middle of each line lies in what counts of the map (rows, lines); else only its skirts do."""
-    step = float(grid.axis[1] - grid.axis[0])
-    known = np.isfinite(lines.centre)
-    at = np.rint((np.where(known, lines.centre, grid.axis[0]) - grid.axis[0]) / step).astype(np.int64)
-    last = len(grid.axis) - 1
-    counts = np.take_along_axis(grid.share, np.clip(at, 0, last), axis=1)
-    return np.asarray(known & (at <= last) & (counts > 0.5))
 
 
 def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergyShares:

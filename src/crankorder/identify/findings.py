@@ -2,24 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 import xarray as xr
 
-from crankorder.cause import ELECTRIC, alike_speeds, electric
+from crankorder.cause import ELECTRIC, Cause, alike_speeds, electric
 from crankorder.engine.machine_parts import Motor
-from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Findings, OpenBand, quality_of
+from crankorder.findings import (
+    SCHEMA_VERSION,
+    Balance,
+    Channel,
+    CrossingFinding,
+    Findings,
+    LineFinding,
+    ModeFinding,
+    OpenBand,
+    OrderFinding,
+    quality_of,
+)
 from crankorder.findings import Motor as MotorRecord
 from crankorder.identify.balance.unbalance_fit import UnbalanceFit, unbalance_fit
 from crankorder.identify.bearings.records import bearing_records
-from crankorder.identify.causes.aliasing import alias_flags, shown_aliases
-from crankorder.identify.causes.angle_swings import swing_sidebands
-from crankorder.identify.causes.explain import Causes, explained, with_neighbours_named
+from crankorder.identify.causes.explain import Beside, Causes, explained, with_neighbours_named
+from crankorder.identify.causes.sidebands import swing_sidebands
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.found import NO_FITS, AgreedOrder, Doubt, ModalFit, SpeedVerdicts, SweepFits, Unsearched
+from crankorder.identify.found import (
+    NO_FITS,
+    AgreedOrder,
+    AgreedOrders,
+    Doubt,
+    Evidence,
+    ModalFit,
+    Mode,
+    OrderLine,
+    SpeedVerdicts,
+    SweepFits,
+    Tone,
+    Unsearched,
+    Whirl,
+)
+from crankorder.identify.intervals import Z95, half_width, interval, positive_interval, size_interval
 from crankorder.identify.levels import graded, level_records, limit_verdicts, third_octave_records, vibration_records
 from crankorder.identify.lines.agreed_orders import orders_agreed, unless_sidebands
 from crankorder.identify.lines.followed_orders import (
@@ -29,23 +54,23 @@ from crankorder.identify.lines.followed_orders import (
     with_followed,
     with_track_rows,
 )
-from crankorder.identify.lines.growth import if_unbalance
+from crankorder.identify.lines.growth import Growth, growth, if_unbalance, reported, visible_range_rpm
 from crankorder.identify.lines.known_lines import LineSeen, held_of, without_known
-from crankorder.identify.lines.line_phasors import speed_source
+from crankorder.identify.lines.line_evidence import alias_flags, shown_aliases
+from crankorder.identify.lines.line_phasors import is_half_order, speed_source
 from crankorder.identify.lines.mains import mains_seen, motor_seen, without_ringing
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import with_tones_settled
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_blocks import with_locks_through_modes
-from crankorder.identify.modes.order_modes import without_swings
-from crankorder.identify.modes.sweep_modes import with_rows_of_fits
-from crankorder.identify.records import line_records, mode_records, order_records
+from crankorder.identify.modes.responses import held_peak
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure
-from crankorder.settings import Settings
+from crankorder.records import Ends
+from crankorder.settings import MethodNumbers, Settings
 
 DOUBTS = ("speed_tie", "speed_doubtful")
 """Flags of recordings whose speed was read from the vibration and may be another."""
@@ -56,41 +81,48 @@ SEARCHES = {"floor": "the floor", "orders": "orders over the speeds", "sweeps": 
 IN_DOUBT = "the speed is in doubt"
 
 
-def find(
-    order_map: xr.Dataset,
-    campbell: xr.Dataset,
-    frames: Sequence[xr.Dataset],
-    envelope: xr.Dataset | None,
-    *,
-    test: str,
-    sources: MachineModel,
-    settings: Settings,
-    followed: Sequence[xr.Dataset] = (),
-    levels: Sequence[xr.Dataset] = (),
-    swept: SweepFits = NO_FITS,
-    vibration: xr.Dataset | None = None,
-) -> Findings:
-    """Findings of a test.
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the stages before made of a test, to be explained.
 
-    ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``,
-    ``frames`` the OrderFrames of its recordings and ``envelope`` its EnvelopeMap (None where none was made);
-    ``sources`` says what the machine is made of; ``settings`` are those of all stages; ``followed`` are the
-    RecordingTracks of the recordings (without variables where the speed does not sweep), ``levels`` their
-    RecordingLevels, ``swept`` what the signals of sweeps tell of modes; ``vibration`` the VibrationLevels of the test.
+    ``order_map`` (OrderMap) and ``campbell`` (CampbellMap) are its maps, without speeds where none is known; ``frames``
+    the OrderFrames of its recordings, ``envelope`` its EnvelopeMap (None where none was made); ``followed`` the
+    RecordingTracks of the recordings (without variables where the speed does not sweep) with the rows of ``swept``,
+    what the signals of sweeps tell of modes; ``levels`` are their RecordingLevels, ``vibration`` the VibrationLevels of
+    the test.
     """
+
+    order_map: xr.Dataset
+    campbell: xr.Dataset
+    frames: Sequence[xr.Dataset]
+    envelope: xr.Dataset | None = None
+    followed: Sequence[xr.Dataset] = ()
+    swept: SweepFits = NO_FITS
+    levels: Sequence[xr.Dataset] = ()
+    vibration: xr.Dataset | None = None
+
+
+def find(measured: Measured, *, test: str, sources: MachineModel, settings: Settings) -> Findings:
+    """Findings of the test named ``test``, as it was ``measured``.
+
+    ``sources`` says what the machine is made of; ``settings`` are those of all stages.
+    """
+    order_map, campbell, frames, envelope = measured.order_map, measured.campbell, measured.frames, measured.envelope
+    vibration, followed = measured.vibration, measured.followed
     asked, turns = settings.identify, sources.revs_per_cycle
-    quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
+    names = order_map["channel"].values.tolist()
+    quantity, unit = (dict(zip(names, order_map[of].values.tolist(), strict=True)) for of in ("quantity", "unit"))
     flags = [*flags_of(order_map)]
     flags += [flag for flag in flags_of(campbell) if flag not in flags]
-    lines = _lines(order_map, campbell, frames, followed, swept, speed_doubt(flags), sources.motor, settings)
+    lines = _lines(measured, speed_doubt(flags), sources.motor, settings)
     modal, in_map, orders, doubt = lines.modal, lines.in_map, lines.orders, lines.doubt
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_aliases(order_map, settings=settings)
-    explain = partial(explained, in_map, modal, bearings, sources=sources, settings=asked, folds=folds)
-    explain = partial(explain, known=lines.known, longest_rev=lines.longest_rev, quantity=quantity)
     in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
     rows = {(line.channel, agreed.order): line for agreed in orders for line in agreed.lines}
-    causes = explain(in_cylinder=in_cylinder, of_swing=swing_sidebands(orders, frames), rows=rows)
+    swung = swing_sidebands(orders, frames)
+    beside = Beside(in_cylinder, folds, lines.known, swung, lines.longest_rev, rows)
+    causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, beside=beside)
     modal = with_neighbours_named(modal, in_map, causes)
 
     tested = _tested_rpm(order_map, campbell)
@@ -100,10 +132,10 @@ def find(
     meetings = as_avoided(met, speeds.avoid)
     speeds = speeds if doubt is None else without_free(speeds)
 
-    fit = partial(unbalance_fit, order_map, orders, modal, followed=lines.followed)
+    fit = partial(unbalance_fit, order_map, orders, modal, followed=followed)
     balance, reason = _balance(fit, order_map, sources, causes)
     energy, unexplained = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
-    of_channels = level_records(levels)
+    of_channels = level_records(measured.levels)
     above = {level.channel: level.share_above for level in of_channels}
     shares = tuple(replace(share, above_band=above.get(share.channel)) for share in energy.channels)
     records = order_records(orders, causes, meetings, modal, unit=unit)
@@ -153,34 +185,25 @@ def _balance(
 class _Lines:
     """Orders as the map shows them (``in_map``) and with the amplitudes of their tracks; modes and tones.
 
-    ``known`` lines of the motor and the mains; tracks ``followed`` less what rings on; the ``motor``; why the speed is
-    in ``doubt``, or None; revolutions of the longest recording at one speed.
+    ``known`` lines of the motor and the mains; the ``motor``; why the speed is in ``doubt``, or None; revolutions of
+    the longest recording at one speed.
     """
 
     in_map: tuple[AgreedOrder, ...]
     orders: tuple[AgreedOrder, ...]
     modal: ModalFit
     known: tuple[LineSeen, ...]
-    followed: Sequence[xr.Dataset]
     motor: MotorRecord | None
     doubt: str | None
     longest_rev: float
 
 
-def _lines(
-    order_map: xr.Dataset,
-    campbell: xr.Dataset,
-    frames: Sequence[xr.Dataset],
-    followed: Sequence[xr.Dataset],
-    swept: SweepFits,
-    doubt: str | None,
-    motor: Motor | None,
-    settings: Settings,
-) -> _Lines:
+def _lines(measured: Measured, doubt: str | None, motor: Motor | None, settings: Settings) -> _Lines:
     """Lines of a test: which stand, the modes that they cross, their locks, and what stays at its frequency.
 
     With a ``doubt`` about the speed no order is locked or slips.
     """
+    order_map, frames, followed = measured.order_map, measured.frames, measured.followed
     asked, held = settings.identify, held_of(frames, order_map)
     by_shaft = doubt is None and speed_source([order_map]) != "stated"
     seen_motor = None if motor is None else motor_seen(motor, held, by_shaft=by_shaft, settings=asked)
@@ -190,24 +213,17 @@ def _lines(
     agreed = orders_agreed(in_channels, frames=frames, order_map=order_map, settings=asked, followed=followed)
     numbered = with_followed(numbered_as_followed(agreed, followed), followed, order_map)
     in_map = unless_sidebands(numbered, order_map, frames)
-    fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed, swept=swept)
+    fitted = modal_fit(measured.campbell, order_map, in_map, settings=asked, followed=followed, swept=measured.swept)
     known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
     parted = held if speed_source([*frames, order_map]) == "pulses" else ()
     in_map, modal = with_tones_settled(in_map, modal, held, known, order_map, parted=parted, settings=asked)
     in_map = in_map if doubt is None else undecided_orders(in_map)
-    without = without_swings(followed, modal.swings)
-    rows_of_fits, fixed = with_rows_of_fits(without, swept), fixed_lines(modal.tones)
-    reader = TrackReader(order_map, frames=frames, followed=rows_of_fits, fixed=fixed)
+    reader = TrackReader(order_map, frames=frames, followed=followed, fixed=fixed_lines(modal.tones))
     orders = with_track_rows(in_map, reader, settings=settings.orders)
     longest = max((recording.span_rev for recording in held), default=np.inf)
     record = None if seen_motor is None else seen_motor.record
-    return _Lines(in_map, orders, modal, known, without, record, doubt, longest)
-
-
-def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:
-    """Coordinate ``name`` of the channels, by channel."""
-    return dict(zip(order_map["channel"].values.tolist(), order_map[name].values.tolist(), strict=True))
+    return _Lines(in_map, orders, modal, known, record, doubt, longest)
 
 
 def _tested_rpm(order_map: xr.Dataset, campbell: xr.Dataset) -> tuple[float, float]:
@@ -223,17 +239,14 @@ def going_with_speed(orders: Sequence[AgreedOrder], causes: Causes) -> tuple[Agr
     Not those of the mains and of a motor's field; nor, seen at one speed alone, those that no cause and no lock binds
     to the shaft: there nothing tells an order from a line that stays.
     """
-    return tuple(agreed for agreed in orders if not _stays(agreed, causes))
-
-
-def _stays(agreed: AgreedOrder, causes: Causes) -> bool:
-    """Whether a line stays where it is when the speed moves, or nothing tells that it would not."""
-    makers = [causes.orders[line.channel, agreed.order] for line in agreed.lines]
-    if any(electric(cause.kinds) for cause in makers):
-        return True
-    at_one_speed = alike_speeds(np.concatenate([line.speed_rpm for line in agreed.lines]))
-    unbound = all(not cause.known or not {"sideband", *ELECTRIC}.isdisjoint(cause.kinds) for cause in makers)
-    return at_one_speed and agreed.lock != "locked" and unbound
+    moving = []
+    for agreed in orders:
+        makers = [causes.orders[line.channel, agreed.order] for line in agreed.lines]
+        bound = any(cause.known and {"sideband", *ELECTRIC}.isdisjoint(cause.kinds) for cause in makers)
+        told = bound or agreed.lock == "locked" or not alike_speeds(agreed.speed_rpm)
+        if told and not any(electric(cause.kinds) for cause in makers):
+            moving.append(agreed)
+    return tuple(moving)
 
 
 def speed_doubt(flags: Iterable[QualityFlag]) -> str | None:
@@ -274,3 +287,232 @@ def without_free(verdicts: SpeedVerdicts) -> SpeedVerdicts:
     opened = [OpenBand(low_rpm=band.low_rpm, high_rpm=band.high_rpm, remark=IN_DOUBT) for band in verdicts.free]
     merged = sorted((*verdicts.open, *opened), key=lambda band: band.low_rpm)
     return replace(verdicts, free=(), open=tuple(merged))
+
+
+NUMBERS = MethodNumbers("5-identify-explain.toml", "records")
+
+_NOT_LOCKED: dict[Evidence, str] = {
+    "locked to the shaft": "its phase agrees from frame to frame",
+    "steady, not locked": "steady from frame to frame",
+}
+"""What a channel shows of a line, in words that leave its lock to the verdict on all channels together."""
+
+
+def order_records(
+    orders: AgreedOrders,
+    causes: Causes,
+    meetings: Sequence[CrossingFinding],
+    modal: ModalFit,
+    *,
+    unit: Mapping[str, str],
+) -> tuple[OrderFinding, ...]:
+    """Records of ``orders``, one per order and channel, by channel in the sequence of ``unit``, then by order.
+
+    ``causes`` explain them; ``meetings`` are the records of the crossings; ``modal`` says what they would reach at
+    held speeds; ``unit`` is that of each channel.
+    """
+    records = [
+        _order_record(agreed, line, causes.orders[line.channel, agreed.order], meetings, unit[line.channel], modal)
+        for agreed in orders
+        for line in agreed.lines
+    ]
+    place = {name: number for number, name in enumerate(unit)}
+    return tuple(sorted(records, key=lambda record: (place[record.channel], record.order)))
+
+
+def _order_record(
+    agreed: AgreedOrder, line: OrderLine, cause: Cause, meetings: Sequence[CrossingFinding], unit: str, modal: ModalFit
+) -> OrderFinding:
+    law = growth(line)
+    best = reported(line, law)
+    phase = float(line.phase_deg[best.at])
+    held = held_peak(modal, agreed.order, line.channel, largest_rpm=best.speed_rpm)
+    doubts = (*agreed.doubts, *line.doubts)
+    kinds = [doubt.kind for doubt in doubts] + ([] if cause.doubt is None else [cause.doubt])
+    proven = agreed.lock == "locked" and line.evidence == "locked to the shaft"
+    said = (
+        line.evidence if proven else _NOT_LOCKED.get(line.evidence, line.evidence),
+        f"{line.level_over_floor_db:.1f} dB over the local floor",
+        *(doubt.words for doubt in doubts),
+        line.remark,
+    )
+    met_hz = _met_hz(agreed.order, line.channel, best.speed_rpm, meetings)
+    return OrderFinding(
+        channel=line.channel,
+        order=agreed.order,
+        order_ci95=positive_interval(agreed.order, half_width(agreed.degrees_of_freedom) * agreed.order_error),
+        tracked_order=agreed.tracked,
+        lock=agreed.lock,
+        revs_to_decide=agreed.needed_revs,
+        half_order=agreed.lock != "slips" and is_half_order(agreed.order, agreed.order_error),
+        amplitude=best.amplitude,
+        amplitude_ci95=(max(0.0, best.low), best.high),
+        amplitude_held=None if held is None else held.amplitude,
+        amplitude_held_ci95=None if held is None else held.ends,
+        phase_deg=None if np.isnan(phase) else phase,
+        phase_deg_ci95=None if np.isnan(phase) else _phase_ends(line, best.at),
+        unit=unit,
+        speed_rpm_at_max=best.speed_rpm,
+        speed_rpm_at_held=None if held is None else held.rpm,
+        speed_exponent=None if law is None else law.exponent,
+        speed_exponent_ci95=None if law is None else law.ci95,
+        speed_law=None if law is None else _law(law, met_hz),
+        meets_hz=met_hz,
+        speed_range_rpm=visible_range_rpm(line),
+        n_speeds=len(np.unique(line.seen)),
+        evidence=_once(*said, cause.evidence),
+        level_over_floor_db=line.level_over_floor_db,
+        explained_by=cause.text,
+        causes=cause.kinds,
+        doubts=tuple(dict.fromkeys(kinds)),
+    )
+
+
+def _phase_ends(line: OrderLine, at: int) -> Ends:
+    """95 % interval [deg] of the phase of ``line`` at the speed seen number ``at``: a turn where unknown."""
+    phase = float(line.phase_deg[at])
+    if line.phase_ci95_deg is None:
+        spread = float(np.degrees(line.amplitude_error[at] / line.amplitude[at]))
+        return interval(phase, spread, freedom=float(line.degrees_of_freedom[at]))
+    half = float(line.phase_ci95_deg[at])
+    return phase - half, phase + half
+
+
+def _once(*said: str) -> str:
+    """Everything that is ``said``, part by part, each but once."""
+    parts = [part for text in said for part in text.split("; ")]
+    return "; ".join(dict.fromkeys(part for part in parts if part))
+
+
+def _law(law: Growth, met_hz: float | None) -> str:
+    """The law that the line follows; where it follows none, the mode that it meets is why."""
+    return "meets a mode" if met_hz is not None and law.law == "follows no power law" else law.law
+
+
+def _met_hz(order: float, channel: str, at_rpm: float, meetings: Sequence[CrossingFinding]) -> float | None:
+    """Natural frequency (Hz) whose excited crossing makes an order largest at ``at_rpm``; else None."""
+    met = [
+        record
+        for record in meetings
+        if record.excited
+        and record.order == order
+        and channel in record.channels
+        and abs(record.rpm - at_rpm) <= NUMBERS.met_share * at_rpm
+    ]
+    best = min(met, key=lambda record: abs(record.rpm - at_rpm), default=None)
+    return None if best is None else best.mode_hz
+
+
+def mode_records(modal: ModalFit, causes: Causes, meetings: Sequence[CrossingFinding]) -> tuple[ModeFinding, ...]:
+    """Records of all modes, whirls and tones of ``modal``, lowest first, with their ``causes``.
+
+    ``meetings`` are the records of the crossings: whatever excites a mode reaches it.
+    """
+    records = [_mode_record(mode, cause, meetings) for mode, cause in zip(modal.modes, causes.modes, strict=True)]
+    records += [_whirl_record(whirl) for whirl in modal.whirls]
+    records += [_tone_record(tone, cause) for tone, cause in zip(modal.tones, causes.tones, strict=True)]
+    return tuple(sorted(records, key=lambda record: record.frequency_hz))
+
+
+def _mode_record(mode: Mode, cause: Cause, meetings: Sequence[CrossingFinding]) -> ModeFinding:
+    excites = {met.order for met in meetings if met.excited and met.mode_hz == mode.frequency_hz}
+    return ModeFinding(
+        frequency_hz=mode.frequency_hz,
+        frequency_hz_ci95=mode.frequency_ends,
+        damping_ratio=mode.damping_ratio,
+        damping_ratio_ci95=mode.damping_ends,
+        channels=mode.channels,
+        evidence=mode.evidence,
+        prominence_db=mode.prominence_db,
+        reached_by_orders=tuple(sorted({*mode.reached_by, *excites})),
+        undecided=mode.undecided,
+        explained_by=cause.text,
+        causes=cause.kinds,
+        lines_there_hz=mode.lines_there_hz,
+    )
+
+
+def _whirl_record(whirl: Whirl) -> ModeFinding:
+    return ModeFinding(
+        frequency_hz=whirl.frequency_hz,
+        frequency_hz_ci95=positive_interval(whirl.frequency_hz, Z95 * whirl.frequency_error_hz),
+        reference_rpm=whirl.reference_rpm,
+        speed_slope=whirl.slope,
+        speed_slope_ci95=interval(whirl.slope, whirl.slope_error),
+        damping_ratio=whirl.damping_ratio if whirl.damping_told else None,
+        damping_ratio_ci95=positive_interval(whirl.damping_ratio, Z95 * whirl.damping_error),
+        channels=whirl.channels,
+        evidence=whirl.evidence,
+        prominence_db=whirl.prominence_db,
+        undecided="",
+        explained_by="whirl",
+        causes=("whirl",),
+    )
+
+
+def _tone_record(tone: Tone, cause: Cause) -> ModeFinding:
+    # channels may have different units: that in which it stands clearest
+    channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda pair: pair[1][0] / max(pair[1][1], 1e-300))
+    return ModeFinding(
+        frequency_hz=tone.frequency_hz,
+        frequency_hz_ci95=_tone_ends(tone),
+        damping_ratio=None,
+        damping_ratio_ci95=None,
+        channels=tuple(tone.amplitude),
+        channel=channel,
+        amplitude=amplitude,
+        amplitude_ci95=size_interval(amplitude, Z95 * error),
+        evidence=_once(tone.evidence, cause.evidence),
+        explained_by=cause.text,
+        causes=cause.kinds,
+    )
+
+
+def _tone_ends(tone: Tone) -> Ends:
+    """95 % interval of the frequency of ``tone``."""
+    return positive_interval(tone.frequency_hz, Z95 * tone.frequency_error_hz)
+
+
+def line_records(
+    orders: Sequence[OrderFinding], modal: ModalFit, causes: Causes, *, channels: list[str]
+) -> tuple[LineFinding, ...]:
+    """Every line above the false-alarm level: records of ``orders`` first, then the tones and modes of ``modal``.
+
+    ``causes`` explain them; ``channels`` are the names of all, in the sequence of the map.
+    """
+    kept = ("channel", "order", "order_ci95", "explained_by", "causes", "amplitude", "amplitude_ci95")
+    records = [LineFinding(**{key: getattr(record, key) for key in kept}) for record in orders]
+    for tone, cause in zip(modal.tones, causes.tones, strict=True):
+        sizes = {channel: (size, size_interval(size, Z95 * error)) for channel, (size, error) in tone.amplitude.items()}
+        records += _lines_at(tone.frequency_hz, _tone_ends(tone), cause, sizes)
+    for mode, cause in zip(modal.modes, causes.modes, strict=True):
+        levels = {channel: (_level_of(mode, channels.index(channel), modal), None) for channel in mode.channels}
+        records += _lines_at(mode.frequency_hz, mode.frequency_ends, cause, levels)
+    return tuple(records)
+
+
+def _lines_at(
+    hertz: float, ends: Ends, cause: Cause, sizes: Mapping[str, tuple[float | None, Ends | None]]
+) -> list[LineFinding]:
+    """Lines at a frequency with its interval ``ends`` and its ``cause``: amplitude and interval of it by channel."""
+    return [
+        LineFinding(
+            channel=channel,
+            frequency_hz=hertz,
+            frequency_hz_ci95=ends,
+            explained_by=cause.text,
+            causes=cause.kinds,
+            amplitude=amplitude,
+            amplitude_ci95=amplitude_ends,
+        )
+        for channel, (amplitude, amplitude_ends) in sizes.items()
+    ]
+
+
+def _level_of(mode: Mode, channel: int, modal: ModalFit) -> float | None:
+    """Peak of a tone as strong as the floor of a ``channel`` (its number) within the half-power width of ``mode``."""
+    half = mode.damping_ratio * mode.frequency_hz
+    near = np.abs(modal.frequency_hz - mode.frequency_hz) <= max(half, 1e-9)
+    psd = modal.floor_psd[channel, near] if modal.floor_psd.size else np.zeros(0)
+    seen = psd[np.isfinite(psd)]
+    return float(np.sqrt(2.0)) * float(np.sqrt(seen.mean() * 2.0 * half)) if seen.size else None

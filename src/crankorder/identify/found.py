@@ -14,6 +14,7 @@ from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.records import Ends
 
 if TYPE_CHECKING:
+    from crankorder.identify.modes.order_terms import Force
     from crankorder.identify.modes.responses import Hiding
     from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole
 
@@ -125,6 +126,11 @@ class AgreedOrder:
     own_error: float | None = None
     tracked: float | None = None
     of_angle: bool = False
+
+    @property
+    def speed_rpm(self) -> Floats:
+        """Speeds at which its lines are seen, one line after the other."""
+        return np.concatenate([line.speed_rpm for line in self.lines]) if self.lines else np.zeros(0)
 
     @property
     def line_error(self) -> float:
@@ -256,9 +262,9 @@ class Tone:
 class OrderResponse:
     """How one order drives one channel through the fitted modes.
 
-    Its complex amplitude at a speed s is a force, (s / ``reference_rpm``)**``exponent`` exp(Σ ``law``[k] P_k+1(x)),
-    times Σ ``smooth``[k] P_k(x) + Σ ``residue``[j] h_j(order s / 60): P_k the Legendre polynomials of x, which runs
-    from -1 to 1 in ln s over ``span_rpm``, and h_j(f) = −u² / (1 − u² + 2iζu), u = f / f_j, over the modes of the fit.
+    Its complex amplitude at a speed s that is held is the ``force`` there times Σ ``smooth``[k] P_k(x) + Σ
+    ``residue``[j] h_j(order s / 60): P_k and x the polynomials and their place by the force's span, and
+    h_j(f) = −u² / (1 − u² + 2iζu), u = f / f_j, over the modes of the fit.
     ``covariance`` (terms, terms) is that of the smooth terms and the residues of the modes ``reached``, per real part,
     with ``degrees_of_freedom``; ``error`` what a row errs by, per part. ``fits`` says whether the data agree.
     ``recording`` is that of a sweep, "" of a whole test. ``slopes`` (terms, 2 reached) are the derivatives of the terms
@@ -267,10 +273,7 @@ class OrderResponse:
 
     order: float
     channel: str
-    exponent: float
-    law: tuple[complex, ...]
-    reference_rpm: float
-    span_rpm: tuple[float, float]
+    force: Force
     smooth: Complexes
     residue: Complexes
     reached: Ints
@@ -281,6 +284,10 @@ class OrderResponse:
     recording: str = ""
     slopes: Complexes | None = None
 
+    def passes(self, rpm: float) -> bool:
+        """Whether ``rpm`` lies in its span."""
+        return self.force.span_rpm[0] <= rpm <= self.force.span_rpm[1]
+
 
 @dataclass(frozen=True, eq=False)
 class UnseenBound:
@@ -289,32 +296,6 @@ class UnseenBound:
     order: float
     speed_rpm: Floats
     amplification: Floats
-
-
-@dataclass(frozen=True)
-class HiddenSpeeds:
-    """Speeds ``low_rpm`` to ``high_rpm`` at which the mode ``mode_hz`` rings on from order ``rung_by`` where another
-    order, of which nobody knows, could meet it and would be hidden."""
-
-    low_rpm: float
-    high_rpm: float
-    mode_hz: float
-    rung_by: float
-
-
-@dataclass(frozen=True, eq=False)
-class Swing:
-    """What modes that other orders struck add, as they ring on, to the track of ``order`` in a ``channel`` of a sweep.
-
-    ``taken`` (T,), complex like the track, and its standard ``error`` (T,) per part at ``time_s`` of the ``recording``.
-    """
-
-    order: float
-    channel: str
-    recording: str
-    time_s: Floats
-    taken: Complexes
-    error: Floats
 
 
 @dataclass(frozen=True)
@@ -330,9 +311,8 @@ class Unsearched:
 class ModalFit:
     """Modes, lowest first, with the ``covariance`` of (f_1, ζ_1, f_2, ζ_2, …); tones; responses; the floor.
 
-    ``responses`` say how the orders pass through the modes, ``unseen`` what they could do without being seen, and
-    ``hidden`` at which speeds an order that was not found could meet a mode; ``swings`` are what modes that ring on
-    add to the tracks of sweeps, ``shown_orders`` are orders that the spectra of sweeps show and no track does.
+    ``responses`` say how the orders pass through the modes, ``unseen`` what they could do without being seen;
+    ``shown_orders`` are orders that the spectra of sweeps show and no track does.
 
     ``frequency_hz`` (frequencies,), ``floor_psd`` and ``fitted_psd`` (channels, frequencies): what is left of the
     Campbell map without order lines, at unit gain, and the fit of it; NaN where orders cover a bin at all speeds.
@@ -344,23 +324,45 @@ class ModalFit:
     covariance: Floats
     responses: tuple[OrderResponse, ...] = ()
     unseen: tuple[UnseenBound, ...] = ()
-    hidden: tuple[HiddenSpeeds, ...] = ()
     shown_orders: tuple[float, ...] = ()
-    swings: tuple[Swing, ...] = ()
     frequency_hz: Floats = field(default_factory=lambda: np.zeros(0))
     floor_psd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     fitted_psd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     whirls: tuple[Whirl, ...] = ()
     left: tuple[Unsearched, ...] = ()
 
+    @property
+    def step_hz(self) -> float:
+        """Distance of neighbouring bins of the floor; 0 where there are none."""
+        return float(self.frequency_hz[1] - self.frequency_hz[0]) if len(self.frequency_hz) > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What one channel says of one crossing: ``chance`` that an order without the mode looks like that.
+
+    ``ratio`` with its interval is that of the amplitude at ``at_rpm`` to the trend beside; None where there is none.
+    """
+
+    channel: str
+    chance: float
+    at_rpm: float | None = None
+    ratio: float | None = None
+    ratio_low: float = 0.0
+    ratio_high: float = np.inf
+
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """The ``finding`` of an order that meets a ``mode``; the ``whirl`` that has it there, None of a mode that stays."""
+    """The ``finding`` of an order that meets a ``mode``; the ``whirl`` that has it there, None of a mode that stays.
+
+    ``trends``: how the order stands over its trend beside, in the channels that tell.
+    """
 
     finding: CrossingFinding
     mode: Mode
     whirl: Whirl | None = None
+    trends: tuple[Seen, ...] = ()
 
     @property
     def ends_rpm(self) -> Ends:
@@ -381,14 +383,13 @@ class SpeedVerdicts:
 class SweepFits:
     """What the signals of all sweeps of a test tell of its modes, place by place of frequency.
 
-    ``hiding`` is what a mode that they do not show could add to each order; ``looked_hz`` are places, from … to, at
-    which every multiple of the cycle was looked for beside what rings, and ``shown_orders`` are those that were found;
+    ``hiding`` is what a mode that they do not show could add to each order; ``shown_orders`` are multiples of the cycle
+    that nobody followed and that they show;
     ``left_hz`` are places at which the search stopped before its end.
     """
 
     groups: tuple[GroupFit, ...] = ()
     hiding: tuple[Hiding, ...] = ()
-    looked_hz: tuple[tuple[float, float], ...] = ()
     shown_orders: tuple[float, ...] = ()
     left_hz: tuple[tuple[float, float], ...] = ()
 

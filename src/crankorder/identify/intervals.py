@@ -62,6 +62,11 @@ def positive_interval(value: float, half: float) -> tuple[float, float]:
     return max(value - half, value * float(np.exp(-MOST_LOGARITHM))), value + half
 
 
+def size_interval(value: complex, half: float) -> tuple[float, float]:
+    """Interval of half width ``half`` about the size of a phasor ``value``, from 0 on."""
+    return max(abs(value) - half, 0.0), abs(value) + half
+
+
 def ratio_interval(value: float, error: float, *, most: float = np.inf) -> tuple[float, float]:
     """95 % interval of a positive ``value`` with its standard ``error``, even in the logarithm, up to ``most``.
 
@@ -109,6 +114,18 @@ def simes(p_values: Floats) -> float:
     Source: Simes (1986), Biometrika 73, 751.
     """
     return float(np.nanmin(adjusted(p_values), initial=np.inf)) if np.isfinite(p_values).any() else np.nan
+
+
+def excess_scatter(misfit: Callable[[float], float], freedom: float, *, most: float, within: float) -> float:
+    """Scatter beyond the errors, up to ``most``, by which ``misfit`` is as large as its degrees of ``freedom``; else 0.
+
+    ``misfit`` is the sum of the squares of residuals over their variances, with that scatter in them; the result is
+    known ``within`` that.
+    Source: Paule and Mandel (1982), J. Res. NBS 87, 377.
+    """
+    if misfit(0.0) <= freedom:
+        return 0.0
+    return root(lambda scatter: misfit(scatter) - freedom, 0.0, most, within=within)
 
 
 def root(function: Callable[[float], float], low: float, high: float, *, within: float) -> float:

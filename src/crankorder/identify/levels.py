@@ -50,18 +50,18 @@ def _record(name: str, unit: str, table: Floats) -> Level:
     rms, share, above, *_, band_hz = table.T
     measured = np.isfinite(rms) & np.isfinite(share)
     energy = rms[measured] ** 2
-    strongest = table[max(range(len(table)), key=lambda row: above[row])].tolist()
+    strongest = dict(zip(_LEVELS, table[max(range(len(table)), key=lambda row: above[row])].tolist(), strict=False))
     return Level(
         channel=name,
         unit=unit,
         rms_max=float(rms[measured].max()) if measured.any() else None,
         band_hz=float(np.nanmax(band_hz)) if np.isfinite(band_hz).any() else None,
         share_above=float(energy @ share[measured] / energy.sum()) if energy.sum() > 0.0 else None,
-        amplitude_above=strongest[2] if strongest[2] > 0.0 else None,
-        frequency_hz_above=finite(strongest[3]),
-        band_hz_there=finite(strongest[4]),
-        order_above=finite(strongest[5]),
-        speed_rpm_above=finite(strongest[6]),
+        amplitude_above=strongest["peak_above"] if strongest["peak_above"] > 0.0 else None,
+        frequency_hz_above=finite(strongest["peak_frequency"]),
+        band_hz_there=finite(strongest["peak_band"]),
+        order_above=finite(strongest["peak_order"]),
+        speed_rpm_above=finite(strongest["peak_speed"]),
     )
 
 
@@ -77,28 +77,24 @@ def vibration_records(vibration: xr.Dataset) -> tuple[VibrationLevel, ...]:
     """Records of the broad-band levels of the VibrationLevels ``vibration``: one per channel, band and speed."""
     records, table = list[VibrationLevel](), _values(vibration)
     for row in _rows(table, "broad band"):
-        there = np.flatnonzero(np.isfinite(table["rms"][row]))
-        if len(there):
-            loudest = int(np.nanargmax(table["rms"][row]))
-            records += [
-                VibrationLevel(
-                    channel=str(table["channel"][row]),
-                    quantity=str(table["quantity"][row]),
-                    unit=str(table["unit"][row]),
-                    band_hz=(float(table["low_frequency"][row]), float(table["high_frequency"][row])),
-                    reached_hz=float(table["reached_frequency"][row]),
-                    speed_rpm=finite(table["speed"][column]),
-                    rms=float(table["rms"][row, column]),
-                    rms_ci95=_ends(table["rms_ci95"][row, column]),
-                    peak=finite(table["peak"][row, column]),
-                    peak_ci95=_ends(table["peak_ci95"][row, column]),
-                    largest_peak=finite(table["largest_peak"][row, column]),
-                    crest_factor=finite(table["crest_factor"][row, column]),
-                    crest_factor_ci95=_ends(table["crest_factor_ci95"][row, column]),
-                    largest=column == loudest,
-                )
-                for column in (there.tolist() if len(there) <= MOST_SPEEDS else [loudest])
-            ]
+        there = np.flatnonzero(np.isfinite(table["rms"][row])).tolist()
+        loudest = int(np.nanargmax(table["rms"][row])) if there else -1
+        for column in there if len(there) <= MOST_SPEEDS else [loudest]:
+            numbers = ("peak", "largest_peak", "crest_factor")
+            told: dict[str, Any] = {key: finite(table[key][row, column]) for key in numbers}
+            told |= {f"{key}_ci95": _ends(table[f"{key}_ci95"][row, column]) for key in ("rms", "peak", "crest_factor")}
+            level = VibrationLevel(
+                channel=str(table["channel"][row]),
+                quantity=str(table["quantity"][row]),
+                unit=str(table["unit"][row]),
+                band_hz=(float(table["low_frequency"][row]), float(table["high_frequency"][row])),
+                reached_hz=float(table["reached_frequency"][row]),
+                speed_rpm=finite(table["speed"][column]),
+                rms=float(table["rms"][row, column]),
+                largest=column == loudest,
+                **told,
+            )
+            records.append(level)
     return tuple(records)
 
 
@@ -139,21 +135,20 @@ def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Mach
         verdicts += [_verdict(table, row, limit) for row in rows]
         unit, size = UNITS[limit.quantity]
         missing = limit.channels or (() if rows else tuple(dict.fromkeys(names)))
+        untold = "no level could be told in that band: the recordings are too short, or sampled too slowly"
         verdicts += [
-            LimitVerdict(
-                quantity=limit.quantity,
-                band_hz=(limit.low_hz, limit.high_hz),
-                value=limit.value_si / size,
-                unit=unit,
-                source=limit.source,
-                channel=name,
-                verdict="not decided",
-                evidence="no level could be told in that band: the recordings are too short, or sampled too slowly",
-            )
+            _on(limit, limit.value_si / size, unit, channel=name, verdict="not decided", evidence=untold)
             for name in missing
             if name not in [names[row] for row in rows]
         ]
     return tuple(verdicts)
+
+
+def _on(limit: Limit, value: float, unit: str, **seen: Any) -> LimitVerdict:
+    """Record of a ``limit``, which is ``value`` in that ``unit``, and of what was ``seen`` of it."""
+    if limit.quantity != "balance grade":
+        seen["band_hz"] = limit.low_hz, limit.high_hz
+    return LimitVerdict(quantity=limit.quantity, value=value, unit=unit, source=limit.source, **seen)
 
 
 def _is_for(table: Columns, row: int, limit: Limit) -> bool:
@@ -168,7 +163,7 @@ def _verdict(table: Columns, row: int, limit: Limit) -> LimitVerdict:
     A filter has no walls: what lies at the ends of the band counts whole where the level is to be surely within, and
     not at all where it is to be surely above.
     """
-    value, unit = limit.value_si / float(table["si_per_unit"][row]), str(table["unit"][row])
+    value, seen = limit.value_si / float(table["si_per_unit"][row]), dict[str, Any]()
     least, most = (_beside(table, row, kind) for kind in (WITHOUT_ENDS, WITH_ENDS))
     rms = table["rms"][row]
     there = np.flatnonzero(np.isfinite(table["rms"][[row, least, most]]).all(axis=0))
@@ -185,20 +180,11 @@ def _verdict(table: Columns, row: int, limit: Limit) -> LimitVerdict:
     if verdict == "above":
         over = there[np.nan_to_num(low) > value]
         loudest = int(over[np.argmax(rms[over])])
-    ends = None if loudest < 0 else tuple(_ends(table["rms_ci95"][level, loudest]) for level in (least, most))
-    return LimitVerdict(
-        quantity=limit.quantity,
-        band_hz=(limit.low_hz, limit.high_hz),
-        value=value,
-        unit=unit,
-        source=limit.source,
-        channel=str(table["channel"][row]),
-        verdict=verdict,
-        level=float(rms[loudest]) if loudest >= 0 else None,
-        level_ci95=None if ends is None or ends[0] is None or ends[1] is None else (ends[0][0], ends[1][1]),
-        speed_rpm=finite(table["speed"][loudest]) if loudest >= 0 else None,
-        evidence=evidence,
-    )
+    if loudest >= 0:
+        ends = _ends(np.array([table["rms_ci95"][least, loudest, 0], table["rms_ci95"][most, loudest, 1]]))
+        seen = {"level": float(rms[loudest]), "level_ci95": ends, "speed_rpm": finite(table["speed"][loudest])}
+    channel, unit = str(table["channel"][row]), str(table["unit"][row])
+    return _on(limit, value, unit, channel=channel, verdict=verdict, evidence=evidence, **seen)
 
 
 def _beside(table: Columns, row: int, kind: str) -> int:
@@ -257,25 +243,15 @@ def graded(balance: Balance | None, sources: MachineModel, fastest_rpm: float) -
 
 
 def _grade_verdict(limit: Limit, balance: Balance | None) -> LimitVerdict:
-    value = limit.value_si * 1e3
-    level = None if balance is None else balance.grade_mm_s
-    ends = None if balance is None else known(balance.grade_mm_s_ci95)
+    value, told = limit.value_si * 1e3, balance or Balance()
+    level, ends = told.grade_mm_s, known(told.grade_mm_s_ci95)
     verdict: Literal["within", "above", "not decided"] = "not decided"
     evidence = "no rotating unbalance was worked out" if level is None else "its interval is not known"
     if ends is not None:
         verdict = "above" if ends[0] > value else "within" if ends[1] <= value else "not decided"
         evidence = "the limit lies inside the interval" if verdict == "not decided" else "by the whole interval"
-    return LimitVerdict(
-        quantity=limit.quantity,
-        value=value,
-        unit="mm/s",
-        source=limit.source,
-        verdict=verdict,
-        level=level,
-        level_ci95=ends,
-        speed_rpm=None if balance is None else balance.grade_speed_rpm,
-        evidence=evidence,
-    )
+    seen = {"level": level, "level_ci95": ends, "speed_rpm": told.grade_speed_rpm}
+    return _on(limit, value, "mm/s", verdict=verdict, evidence=evidence, **seen)
 
 
 def _rows(table: Columns, kind: str) -> list[int]:

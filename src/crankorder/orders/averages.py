@@ -1,6 +1,6 @@
-"""Means of frames at like speed: the noise of one, what the frames are worth for their memory, and tracks of means.
+"""Means of frames at like speed: the noise of one, and what the frames are worth for their memory.
 
-Order map, operating shapes and followed tracks average here. The noise is that of the frames' own scatter; where they
+Order map and operating shapes average here. The noise is that of the frames' own scatter; where they
 are too few the bins beside a line help out.
 """
 
@@ -14,8 +14,7 @@ import numpy as np
 import xarray as xr
 from scipy.special import fdtri
 
-from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg, t_quantile
-from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, noise_correlation
+from crankorder.orders.intervals import t_quantile
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
@@ -52,15 +51,6 @@ LEAST_WIDTH = 0.5
 
 NOISE_RATIO = 8.0
 """A bin that holds so many times the median of those beside is a line's, not noise: one in 250 of noise does."""
-
-POLES = 2
-"""Of the Vold–Kalman filter that follows orders: 24 dB per octave beyond the band."""
-
-SCALED = ("amplitude", "standard_error", "amplitude_low", "amplitude_high")
-"""What a track says in the unit of its channel, by the name of its variable."""
-
-TRACKED = (*SCALED, "phase", "degrees_of_freedom", "phase_ci95")
-"""All that a track says of an order at a speed."""
 
 
 @dataclass(frozen=True)
@@ -384,101 +374,3 @@ class SizeRows:
                 low[changes, row] = np.minimum(low[:, row], every.min(axis=1))[changes]
                 high[changes, row] = np.maximum(high[:, row], every.max(axis=1))[changes]
         return SizeRows(self.amplitude, error, dof, low, high)
-
-
-@dataclass(frozen=True)
-class Readings:
-    """Frames of all recordings of one order: values and errors (channels, frames), and what each frame is (frames,).
-
-    ``per_rev`` is the bandwidth of the filter in cycles per revolution.
-    """
-
-    values: Complexes
-    errors: Floats
-    dof: Floats
-    revs: Floats
-    owner: Ints
-    begin_rev: Floats
-    per_rev: Floats
-
-    def of(self, which: Ints, channels: slice | Ints = slice(None)) -> Readings:
-        """Those of the frames that ``which`` picks, and of the ``channels``."""
-        frames = (self.revs[which], self.owner[which], self.begin_rev[which], self.per_rev[which])
-        part = np.ix_(np.arange(len(self.values))[channels], which)
-        return Readings(self.values[part], self.errors[part], self.dof[part], *frames)
-
-    def summed(self, weights: Floats, *, of_noise: bool) -> Floats:
-        """Sum (channels,) of weight · weight · correlation over all pairs of frames, ``weights`` (channels, frames).
-
-        The correlation is that of the errors, or (``of_noise``) that of what is known of the noise.
-        """
-        total = np.asarray(np.square(weights).sum(axis=1))
-        for lag in range(1, len(self.revs)):
-            alike = self._alike(lag, of_noise=of_noise)
-            if not alike.any():
-                break
-            total += 2.0 * (weights[:, lag:] * weights[:, :-lag] * alike).sum(axis=1)
-        return total
-
-    def _alike(self, lag: int, *, of_noise: bool) -> Floats:
-        """Correlation (frames - lag,) of each frame with the one ``lag`` further on."""
-        first, second = slice(None, -lag), slice(lag, None)
-        same = self.owner[first] == self.owner[second]
-        middle = self.begin_rev + 0.5 * self.revs
-        apart = (middle[second] - middle[first]) * np.sqrt(self.per_rev[first] * self.per_rev[second])
-        if of_noise:
-            return np.asarray(same * np.clip(1.0 - apart / FRAME_BANDWIDTHS, 0.0, 1.0))
-        return np.asarray(same * noise_correlation(apart, POLES))
-
-
-@dataclass(frozen=True)
-class Mean:
-    """Coherent mean (channels,) of frames, the standard error of its parts, what is known of that, and its length."""
-
-    value: Complexes
-    error: Floats
-    dof: Floats
-    revs: float
-
-
-def coherent_mean(part: Readings) -> Mean:
-    """Coherent mean of the frames of ``part``.
-
-    Frames weigh by their length; those with more noise power than most, by more than chance, less in proportion.
-    """
-    power = np.square(part.errors)
-    chance = 1.0 + 3.0 * np.sqrt(2.0 / np.maximum(np.median(part.dof, axis=1, keepdims=True), 1.0))
-    limit = chance * np.median(power, axis=1, keepdims=True)
-    weight = part.revs * np.divide(limit, power, out=np.ones_like(power), where=power > limit)
-    weight /= weight.sum(axis=1, keepdims=True)
-    dof = (weight * part.dof).sum(axis=1) / part.summed(weight, of_noise=True)
-    error = np.sqrt(np.maximum(part.summed(weight * part.errors, of_noise=False), 0.0))
-    return Mean((weight * part.values).sum(axis=1), error, np.floor(dof + 0.5), float(part.revs.sum()))
-
-
-def by_phase(mean: Mean, *, with_phase: bool) -> dict[str, Floats]:
-    """Values (channels,) of a track, by TRACKED, from the coherent ``mean``; of its phase only ``with_phase``."""
-    amplitude, power = np.abs(mean.value), 2.0 * mean.error**2
-    low, high = amplitude_interval(amplitude, power, mean.dof)
-    phase = half = np.full(amplitude.shape, np.nan)
-    if with_phase:
-        phase, half = np.degrees(np.angle(mean.value)), phase_interval_deg(amplitude, power, mean.dof)
-    return dict(zip(TRACKED, (amplitude, mean.error, low, high, phase, mean.dof, half), strict=True))
-
-
-def by_energy(means: list[Mean]) -> dict[str, Floats]:
-    """Values (channels,) of a track, by TRACKED, from ``means`` of recordings whose phases say nothing of each other.
-
-    The noise is taken off their power, which the 95 % interval is of as well.
-    """
-    share = np.array([mean.revs for mean in means])[:, None] / sum(mean.revs for mean in means)
-    noise = 2.0 * np.array([mean.error for mean in means]) ** 2
-    power = (share * np.abs([mean.value for mean in means]) ** 2).sum(axis=0)
-    bias, beat = (share * noise).sum(axis=0), (share**2 * noise).sum(axis=0)
-    variance = ((share * noise) ** 2).sum(axis=0)
-    dof = np.sum([mean.dof for mean in means], axis=0)
-    low, high = energy_interval(power, noise=beat, bias=bias, noise_variance=variance, dof=dof)
-    line = np.maximum(power - bias, 0.0)
-    error = np.sqrt(2.0 * line * beat + variance) / (2.0 * np.sqrt(np.maximum(power, np.finfo(np.float64).tiny)))
-    unknown = np.full(line.shape, np.nan)
-    return dict(zip(TRACKED, (np.sqrt(line), error, low, high, unknown, dof, unknown), strict=True))

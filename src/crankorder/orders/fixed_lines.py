@@ -16,8 +16,9 @@ from scipy.fft import fft, ifft, next_fast_len
 
 from crankorder.fft.decimation import sound_samples
 from crankorder.findings import Findings
-from crankorder.orders.averages import whitening
+from crankorder.orders.close_rows import Stretch
 from crankorder.orders.intervals import LARGEST_DOF, NORMAL, amplitude_interval, phase_interval_deg
+from crankorder.orders.joint_lines import Band, Place, hann_lobe, joint_lines
 from crankorder.orders.true_angle import UNKNOWN_DEG
 from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag
 from crankorder.settings import MethodNumbers
@@ -25,8 +26,9 @@ from crankorder.shaft.angle import SpeedCourse
 
 NUMBERS = MethodNumbers("3-orders-lines.toml", "fixed_lines")
 
-NOISE_STEPS = np.geomspace(1e-3, 1e3, 61)
-"""Powers of noise that are tried, over that of the bins beside: a line in these makes it look larger than it is."""
+SPREADS, COURSE_CYCLES, MOST_COURSES = 2.5, 0.5, 20
+"""Standard deviations of the frequency of a line over which its power is spread on each side of it, cycles over the
+recording between the courses that hold it, and how many there are on each side at most."""
 
 RIGHT_ANGLE_DEG = 90.0
 """By which a line as large as the order may turn it; beyond, its phase is not known."""
@@ -83,34 +85,6 @@ class FixedLine:
 
 
 @dataclass(frozen=True, eq=False)
-class MetStretch:
-    """Frames of one recording in a ``row`` about an order that meets ``lines``: ``phasor`` (channels, frames).
-
-    Phasors count from the middle of each frame, as ``wave`` (frames,), what the order of amplitude 1 is there.
-    ``begin_rev`` (frames,) and ``revs`` say how the frames overlap, ``time_s`` (frames,) when their middles were,
-    ``shares`` (lines, frames) how much of a line is seen; ``size`` and ``error`` (lines, channels) are its amplitude
-    and standard error elsewhere, ``noise`` (channels,) the power of noise in a phasor by the bins beside.
-    """
-
-    row: int
-    lines: tuple[FixedLine, ...]
-    phasor: Complexes
-    wave: Complexes
-    begin_rev: Floats
-    revs: float
-    time_s: Floats
-    shares: Floats
-    size: Floats
-    error: Floats
-    noise: Floats
-
-    @property
-    def most(self) -> Floats:
-        """The largest amplitude (channels,) that the lines may have in a phasor of the order."""
-        return np.asarray(np.abs(self.shares).max(axis=1) @ (self.size + NORMAL * self.error))
-
-
-@dataclass(frozen=True, eq=False)
 class MetRow:
     """A row of an order that meets fixed ``lines``: (channels,) complex amplitude, noise power of its error, freedom.
 
@@ -146,44 +120,80 @@ def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
     return tuple(found.values())
 
 
-def met_stretches(
-    item: xr.Dataset,
-    rows: Ints,
+def met_rows(
+    stretches: Sequence[Stretch],
     order: float,
-    phasors: Complexes,
-    shares: Floats,
     lines: Sequence[FixedLine],
-    noise: Floats,
-    unit: Floats,
-) -> list[MetStretch]:
-    """Stretches of one recording of an ``order`` that meets ``lines``, one for each row of the map.
+    *,
+    close: Sequence[float] = (),
+    is_coherent: bool,
+) -> list[MetRow]:
+    """What the ``stretches`` of a test hold of an ``order`` apart from the fixed ``lines`` that it meets, row by row.
 
-    ``item`` its OrderFrames, of the ``rows`` (frames,), ``phasors`` (channels, frames) of the order, ``shares`` (lines,
-    frames) of the lines in them, ``noise`` (channels, rows of the map) of a phasor, ``unit`` (channels,) of both.
-    """
-    names = item["channel"].values.tolist()
-    told = np.array([[line.amplitude.get(name, (0.0, 0.0)) for name in names] for line in lines], dtype=np.float64)
-    begin, revs = item["crank_angle"].values.astype(np.float64), float(item.attrs["revs_per_frame"])
-    pace = 60.0 / item["speed"].values
-    time = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * np.diff(begin))])
-    wave = np.exp(2j * np.pi * (order * (begin + 0.5 * revs) % 1.0))
-    whole = np.isfinite(phasors).all(axis=0)
-    made = []
-    for row in np.unique(rows[whole]).tolist():
-        mine = whole & (rows == row)
-        of_frames = phasors[:, mine], wave[mine], begin[mine], revs, time[mine], shares[:, mine]
-        made.append(MetStretch(row, tuple(lines), *of_frames, told[..., 0] / unit, told[..., 1] / unit, noise[:, row]))
-    return made
-
-
-def met_row(stretches: Sequence[MetStretch], *, unit: Floats, is_coherent: bool) -> MetRow:
-    """What ``stretches`` of one row hold of the order apart from the lines that it meets.
-
-    ``unit`` (channels,) is that of the phasors; where the order is not known so well that its frames have one phase
+    Orders ``close`` to it are solved with it. Where the order is not known so well that its frames have one phase
     (``is_coherent``) nothing is told apart.
     """
-    parts = [_parted(one) for one in stretches]
-    value, power, freedom = (np.array([part[k] for part in parts]) for k in range(3))
+    parts: dict[int, list[_Met]] = {}
+    for stretch in stretches:
+        met = _met(stretch, order, lines, close)
+        if met is not None:
+            parts.setdefault(stretch.row, []).append(met)
+    return [_met_row(row, of_row, is_coherent) for row, of_row in parts.items()]
+
+
+@dataclass(frozen=True, eq=False)
+class _Met:
+    """Amplitude ``value`` (channels,) of an order in one stretch, apart from ``lines``, and the ``power`` of its error.
+
+    ``most`` (channels,) is the largest amplitude that the lines may have in a phasor of the order, ``by_noise``
+    (channels,) the error that noise alone leaves of the mean of the frames.
+    """
+
+    lines: tuple[FixedLine, ...]
+    value: Complexes
+    power: Floats
+    freedom: Floats
+    most: Floats
+    by_noise: Floats
+
+
+def _met(stretch: Stretch, order: float, lines: Sequence[FixedLine], close: Sequence[float]) -> _Met | None:
+    """The ``order`` in one stretch, apart from those of the ``lines`` that show there; None where none does.
+
+    A line is of known power and unknown phase. Its frequency is known to an error and wanders, so that its power is
+    spread over courses of frequencies about it.
+    """
+    held = stretch.held
+    away = [np.abs(line.frequency_hz * held.pace_s - order).min() * held.revs for line in lines]
+    near = [line for line, bins in zip(lines, away, strict=True) if bins < NUMBERS.reach_bins]
+    band = Band.about(held, order, order) if near else None
+    if band is None or len(held.turn) < 2:
+        return None
+    places, power = [Place(turns=turns) for turns in (order, *close)], [np.full(len(held.channels), np.inf)]
+    power *= len(places)
+    most = np.zeros(len(held.channels))
+    seconds = held.span_rev * 60.0 / held.rpm
+    for line in near:
+        size, error = np.array([line.amplitude.get(name, (0.0, 0.0)) for name in held.channels]).T
+        spread = float(np.hypot(line.error_hz, NUMBERS.wander_hz))
+        half = min(int(np.ceil(SPREADS * spread * seconds / COURSE_CYCLES)), MOST_COURSES)
+        off = np.linspace(-SPREADS * spread, SPREADS * spread, 2 * half + 1)
+        weight = np.exp(-0.5 * np.square(off / spread))
+        places += [Place(line.frequency_hz + step) for step in off.tolist()]
+        whole = np.square(size / stretch.unit) + np.square(error / stretch.unit)
+        power += [share * whole for share in (weight / weight.sum()).tolist()]
+        most += np.abs(hann_lobe((line.frequency_hz * held.pace_s - order) * held.revs)).max() * (size + NORMAL * error)
+    solved = joint_lines(band, places, power=np.array(power))
+    noise, freedom = solved.noise(0)
+    unit = band.unit * stretch.unit
+    value, variance = solved.phasor[0] * unit, solved.own[0] * noise * np.square(unit)
+    by_noise = np.sqrt(0.5 * stretch.beside / len(held.turn)) * stretch.unit
+    return _Met(tuple(near), value, variance, np.full(len(value), freedom), most, by_noise)
+
+
+def _met_row(row: int, parts: Sequence[_Met], is_coherent: bool) -> MetRow:
+    """The ``parts`` of one ``row``, of several stretches, together."""
+    value, power = (np.array([getattr(part, name) for part in parts]) for name in ("value", "power"))
     weight = 1.0 / np.maximum(power, 1e-300)
     share = weight / weight.sum(axis=0)
     direction = (share * value).sum(axis=0)
@@ -191,62 +201,18 @@ def met_row(stretches: Sequence[MetStretch], *, unit: Floats, is_coherent: bool)
     told = size * direction / np.maximum(np.abs(direction), 1e-300)
     scatter = (share * np.square(np.abs(value) - size)).sum(axis=0) / max(len(parts) - 1, 1)
     joined = 1.0 / weight.sum(axis=0) + 2.0 * scatter
-    doubt = np.max([one.most for one in stretches], axis=0)
-    is_parted = (joined < NUMBERS.parted_share**2 * np.square(doubt)) & is_coherent
-    lines = tuple(dict.fromkeys(line for one in stretches for line in one.lines))
-    by_noise = np.sqrt(0.5 * np.min([one.noise / len(one.wave) for one in stretches], axis=0))
+    doubt, by_noise = np.max([part.most for part in parts], axis=0), np.min([part.by_noise for part in parts], axis=0)
     return MetRow(
-        row=stretches[0].row,
-        lines=lines,
-        value=np.asarray(unit * told) if is_coherent else np.full(told.shape, np.nan + 0j),
-        power=unit**2 * joined,
-        freedom=freedom.min(axis=0),
-        doubt=unit * doubt,
-        is_parted=is_parted,
+        row=row,
+        lines=tuple(dict.fromkeys(line for part in parts for line in part.lines)),
+        value=told if is_coherent else np.full(told.shape, np.nan + 0j),
+        power=joined,
+        freedom=np.min([part.freedom for part in parts], axis=0),
+        doubt=doubt,
+        is_parted=(joined < NUMBERS.parted_share**2 * np.square(doubt)) & is_coherent,
         touched=doubt > NUMBERS.least_share * by_noise,
         matters=doubt > NORMAL * by_noise,
     )
-
-
-def _parted(one: MetStretch) -> tuple[Complexes, Floats, Floats]:
-    """Amplitude of the order (channels,), power of its error and degrees of freedom, in one stretch.
-
-    Generalised least squares: the lines are of known power and unknown phase, their frequency known to an error, so
-    that their covariance over the frames is that of a wave whose phase wanders.
-    """
-    n = len(one.begin_rev)
-    white = whitening(one.begin_rev, revs_per_frame=one.revs)
-    wave, data = white @ one.wave, white @ one.phasor.T
-    lag = one.time_s[:, None] - one.time_s
-    found = []
-    for channel in range(len(one.noise)):
-        kernel = np.zeros((n, n), dtype=np.complex128)
-        for line, share, size, error in zip(one.lines, one.shares, one.size, one.error, strict=True):
-            spread = float(np.hypot(line.error_hz, NUMBERS.wander_hz))
-            turn = np.exp(2j * np.pi * line.frequency_hz * lag - 2.0 * np.square(np.pi * spread * lag))
-            kernel += (size[channel] ** 2 + error[channel] ** 2) * turn * share[:, None] * share
-        power, axes = np.linalg.eigh(white @ kernel @ white.conj().T)
-        turned = axes.conj().T
-        found.append(_told(turned @ data[:, channel], turned @ wave, np.maximum(power, 0.0), float(one.noise[channel])))
-    value, error_power, freedom = zip(*found, strict=True)
-    return np.array(value), np.array(error_power), np.array(freedom)
-
-
-def _told(data: Complexes, wave: Complexes, power: Floats, noise: float) -> tuple[complex, float, float]:
-    """Amplitude of ``wave`` (n,) in ``data`` (n,), the power of its error and the degrees of freedom.
-
-    Both stand along axes along which the lines have ``power`` (n,); the power of the noise on top is the likeliest
-    about ``noise``.
-    """
-    least = 1e-12 * float(np.square(np.abs(data)).mean()) + 1e-300
-    levels = np.maximum(max(noise, least) * NOISE_STEPS, least)[:, None]
-    total = levels + power
-    gain = (np.square(np.abs(wave)) / total).sum(axis=1)
-    value = (wave.conj() * data / total).sum(axis=1) / gain
-    left = (np.square(np.abs(data - wave * value[:, None])) / total).sum(axis=1)
-    best = int(np.argmin(left + np.log(total).sum(axis=1) + np.log(gain)))
-    free = float(np.count_nonzero(power < levels[best])) - 1.0
-    return complex(value[best]), float(1.0 / gain[best]), max(2.0 * free, 1.0)
 
 
 def beside_fixed(rows: OrderRows, speed_rpm: Floats, met: Sequence[MetRow]) -> OrderRows:

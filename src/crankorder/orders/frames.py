@@ -218,7 +218,7 @@ def _flags(
         sweep = f"{frames.attrs['largest_sweep']:.0%}"
         detail = (
             f"within frames of {layout.revs} revolutions the speed changes by up to {sweep}: amplitudes are means over "
-            "that; through sharp resonances follow orders by track_method"
+            'that; through sharp resonances read tracks, whose orders are followed (track_method = "auto")'
         )
         remarks.append(("frames_swept", detail))
     return [remark(recording, name, detail) for name, detail in remarks]

@@ -13,18 +13,17 @@ from numpy.typing import NDArray
 from crankorder.errors import RequestError
 from crankorder.fft.decimation import band_limited, sound_samples
 from crankorder.fft.transforms import counted
-from crankorder.orders.averages import POLES, median_of_known
+from crankorder.orders.averages import median_of_known
 from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
 from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg
 from crankorder.orders.true_angle import AngleErrors, errors_along
 from crankorder.orders.vold_kalman.bandwidth import (
     FLANK,
-    FRAME_BANDWIDTHS,
     HALF_POWER,
+    LEVEL_DOF,
     LOWER,
     WIDEST,
     impulse_response,
-    level_dof,
     student_factor,
     taken_in_truth,
 )
@@ -41,7 +40,14 @@ from crankorder.quantities import (
     remark,
     with_flags,
 )
+from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, smoothed_speed, speed_course, time_at
+
+SAME_ORDER = 1e-9
+"""Orders closer than this are one."""
+
+POLES = 2
+"""Of the filter: 24 dB per octave beyond the band."""
 
 RESOLVED_DAMPING = 0.01
 """Damping ratio of a mode that a sweep passes whose peak the filter lowers by 1 %."""
@@ -197,19 +203,42 @@ class NoiseSpectrum:
         return np.sqrt(np.where(np.isfinite(ratio) & (ratio > 0.0), ratio, 1.0))
 
 
+def followed_tracks(
+    band: xr.Dataset,
+    shaft: xr.Dataset,
+    *,
+    settings: OrderSettings,
+    swept: bool = False,
+    standing_out: Sequence[float] = (),
+    mains_hz: Sequence[float] = (),
+) -> xr.Dataset:
+    """RecordingTracks of one recording: :func:`swept_tracks` where its speed is ``swept``, else none.
+
+    ``band`` is the BandRecording, ``shaft`` its ShaftAngle. With ``settings.track_method`` "auto" those orders of
+    ``settings.track_orders`` and ``standing_out`` are followed jointly through a sweep, beside mains of ``mains_hz``;
+    with "frames" none are. An order that is not followed is read in the order map and its frames. The attribute
+    ``swept`` says whether rows are those of a sweep, ``standing_out`` which orders stood out in it.
+    """
+    orders = [*settings.track_orders, *standing_out]
+    if settings.track_method == "auto" and swept and orders:
+        return swept_tracks(band, shaft, orders, mains_hz=mains_hz).assign_attrs(standing_out=list(standing_out))
+    return xr.Dataset(attrs={"recording": band.attrs["recording"], "track_method": "frames", "swept": 0})
+
+
 def swept_tracks(
     band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float], *, mains_hz: Sequence[float] = ()
 ) -> xr.Dataset:
     """Complex amplitudes (channel, order, frame) of ``orders`` in one recording whose speed sweeps, with intervals.
 
-    ``band`` is the BandRecording by time, ``shaft`` its ShaftAngle, ``orders`` cycles per crank revolution, above 0.
-    All are followed jointly by a Vold–Kalman filter of two poles; the bandwidth (order, frame) widens with the rate of
-    the sweep over the speed, so that a mode of 1 % damping keeps 99 % of its peak, up to half the distance of the
-    nearest order. Rows are half a reciprocal bandwidth apart; ``speed`` is the slope of the angle over one. Where the
-    shaft stands there are no rows; lines of one frequency, multiples of ``mains_hz`` among them, are taken out first;
-    orders beyond half the sample rate, channels and rows with too few usable samples are NaN.
+    ``band`` is the BandRecording by time, ``shaft`` its ShaftAngle, ``orders`` cycles per crank revolution, above 0;
+    those named twice are one. All are followed jointly by a Vold–Kalman filter of two poles; the bandwidth (order,
+    frame) widens with the rate of the sweep over the speed, so that a mode of 1 % damping keeps 99 % of its peak, up to
+    half the distance of the nearest order. Rows are half a reciprocal bandwidth apart; ``speed`` is the slope of the
+    angle over one. Where the shaft stands there are no rows; lines of one frequency, multiples of ``mains_hz`` among
+    them, are taken out first; orders beyond half the sample rate, channels and rows of too few usable samples are NaN.
     """
-    named = np.asarray(sorted(orders), dtype=np.float64)
+    named = np.sort(np.asarray(orders, dtype=np.float64))
+    named = named[np.diff(named, prepend=-np.inf) > SAME_ORDER]
     course = speed_course(shaft)
     band, lines = without_steady_lines(band, course, named, mains_hz=mains_hz)
     spectrum = NoiseSpectrum.of(band, course, named)
@@ -420,7 +449,20 @@ def _dataset(
     time_s = np.concatenate([plan.rows_s for plan, _, _ in parts] or [np.empty(0)])
     width = np.concatenate([plan.widths(plan.rows_s) for plan, _, _ in parts] or [np.empty((len(orders), 0))], axis=1)
     amplitude, error = joined([part[1] for part in parts], complex), joined([part[2] for part in parts])
-    tracks = filtered_tracks(band, shaft, orders, amplitude, error, freedom=level_dof(FRAME_BANDWIDTHS))
+    known = np.where(np.isfinite(error), LEVEL_DOF, 0.0)
+    # the filter's errors are enlarged as Student's t asks for; the interval does that again
+    error = error / student_factor(np.array(LEVEL_DOF))
+    magnitude, power = np.abs(amplitude), 2.0 * np.square(error)
+    half = phase_interval_deg(magnitude, power, known)
+    given = (amplitude, error, known, *amplitude_interval(magnitude, power, known), half)
+    variables = {
+        name: described(("channel", "order", "frame"), values, units, text)
+        for (name, units, text), values in zip(_VARIABLES, given, strict=True)
+    }
+    coords = {**channel_coords(band), "order": described("order", orders, "1", "order")}
+    attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
+    attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
+    tracks = xr.Dataset(variables, coords=coords, attrs=attrs)
     _put_places(tracks, shaft, time_s, width)
     more = "standard error of what the filter"
     for name, values, text in (
@@ -436,30 +478,6 @@ def _dataset(
     tracks.attrs["crank_angle_error_rev"] = float(np.median(angle_error)) if len(angle_error) else 0.0
     _put_waveform(tracks, band, shaft, course)
     return tracks
-
-
-def filtered_tracks(
-    band: xr.Dataset, shaft: xr.Dataset, orders: Floats, amplitude: Complexes, error: Floats, *, freedom: float
-) -> xr.Dataset:
-    """Vold–Kalman tracks of ``orders`` in ``band`` (BandRecording) with 95 % intervals; frames have no places yet.
-
-    ``amplitude`` and ``error`` (channels, orders, frames) are those of the filter along ``shaft`` (ShaftAngle),
-    ``freedom`` the degrees of freedom behind its errors.
-    """
-    known = np.where(np.isfinite(error), freedom, 0.0)
-    # the filter's errors are enlarged as Student's t asks for; the interval does that again
-    error = error / student_factor(np.array(freedom))
-    magnitude, power = np.abs(amplitude), 2.0 * np.square(error)
-    half = phase_interval_deg(magnitude, power, known)
-    given = (amplitude, error, known, *amplitude_interval(magnitude, power, known), half)
-    variables = {
-        name: described(("channel", "order", "frame"), values, units, text)
-        for (name, units, text), values in zip(_VARIABLES, given, strict=True)
-    }
-    coords = {**channel_coords(band), "order": described("order", orders, "1", "order")}
-    attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
-    attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
-    return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
 def _put_waveform(tracks: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course: SpeedCourse) -> None:
@@ -525,21 +543,12 @@ def _put_places(tracks: xr.Dataset, shaft: xr.Dataset, time_s: Floats, width_hz:
     tracks.coords["bandwidth_hz"] = described(("order", "frame"), width_hz, "Hz", between)
 
 
-def not_tracked_flags(recording: str, remarks: Sequence[str]) -> list[QualityFlag]:
-    """Flags that say of orders of ``recording`` why they were not tracked, one for each of ``remarks``."""
-    return [remark(recording, "order_not_tracked", text, "suspect") for text in remarks]
-
-
-def beyond_remark(order: float) -> str:
-    """What is said of an ``order`` that the samples do not carry."""
-    return f"order {order:g} is beyond half the sample rate at the highest speed"
-
-
 def _flags(tracks: xr.Dataset, notes: list[str]) -> list[QualityFlag]:
     """How the orders were followed, and which were not."""
     recording, order = str(tracks.attrs["recording"]), tracks["order"].values
     if not tracks.sizes["frame"]:
-        return not_tracked_flags(recording, notes or ["too short to follow orders through its sweep"])
+        notes = notes or ["too short to follow orders through its sweep"]
+        return [remark(recording, "order_not_tracked", note, "suspect") for note in notes]
     width, speed_hz = tracks["bandwidth_hz"].values, tracks["speed"].values / 60.0
     detail = (
         f"the speed sweeps by {tracks.attrs['sweep_rpm_per_s']:.3g} rpm/s in the middle: orders "
@@ -548,5 +557,6 @@ def _flags(tracks: xr.Dataset, notes: list[str]) -> list[QualityFlag]:
         f"{(width / speed_hz).max():.2g} orders"
     )
     nowhere = ~np.isfinite(tracks["standard_error"].values).any(axis=(0, 2))
-    remarks = [*notes, *(beyond_remark(one) for one in order[nowhere])]
-    return [remark(recording, "followed_in_sweep", detail), *not_tracked_flags(recording, remarks)]
+    beyond = [f"order {one:g} is beyond half the sample rate at the highest speed" for one in order[nowhere]]
+    not_tracked = [remark(recording, "order_not_tracked", note, "suspect") for note in (*notes, *beyond)]
+    return [remark(recording, "followed_in_sweep", detail), *not_tracked]

@@ -17,16 +17,7 @@ from crankorder.fft.windows import power_of_two
 from crankorder.findings import Findings
 from crankorder.orders.averages import HeldSizes, SizeRows, beside_bins, noise_beside, noise_under
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
-from crankorder.orders.fixed_lines import NUMBERS as FIXED_LINES
-from crankorder.orders.fixed_lines import (
-    FixedLine,
-    MetRow,
-    MetStretch,
-    OrderRows,
-    beside_fixed,
-    met_row,
-    met_stretches,
-)
+from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows, beside_fixed, met_rows
 from crankorder.orders.intervals import (
     NORMAL,
     amplitude_interval,
@@ -34,6 +25,7 @@ from crankorder.orders.intervals import (
     one_phase_reference,
     phase_interval_deg,
 )
+from crankorder.orders.joint_lines import HeldFrames, hann_lobe
 from crankorder.orders.like_speed import common_frames
 from crankorder.orders.swept_tracks import followed_error
 from crankorder.orders.true_angle import GIVEN, AngleErrors
@@ -141,37 +133,10 @@ class TrackReader:
         """Rows of the map in which ``order``, told from ``others`` close to it, meets lines of one frequency."""
         if not self._fixed or not self._frames:
             return []
-        found: dict[int, list[MetStretch]] = {}
-        for one in self._met_stretches(order, others):
-            found.setdefault(one.row, []).append(one)
+        close = [other for other in others if LEAST_APART_BINS < abs(other - order) / self._step < TOGETHER_BINS]
         is_coherent = bool(np.abs(self._axis - order).min() < ON_BIN)
-        return [met_row(parts, unit=self._unit[:, 0], is_coherent=is_coherent) for parts in found.values()]
-
-    def _met_stretches(self, order: float, others: Sequence[float]) -> list[MetStretch]:
-        """Frames of held recordings about an ``order``, told from ``others``, that meets lines of one frequency."""
-        step = self._step
-        centre = order / step
-        if not 0 <= round(centre) < len(self._axis):
-            return []
-        close = self._close(centre, others)
-        used, solve, share = self._lobe_fit(centre, close)
-        if not close and abs(self._axis[round(centre)] - order) < ON_BIN:  # as the map reads it: its bin alone
-            used, solve, share = np.array([round(centre)]), np.ones(1), 1.0
-        power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
-        noise = np.nan_to_num(share * noise_beside(power, self._beside[0][round(centre)][None])[..., 0])
-        made = []
-        for item, rows in zip(self._used, self._row_of_frames, strict=True):
-            speed = item["speed"].values
-            if item.attrs.get("swept", 0) or not np.isfinite(speed).all():
-                continue
-            places: Floats = np.array([60.0 * line.frequency_hz / (speed * step) for line in self._fixed])
-            near = np.flatnonzero((np.abs(places - centre) < FIXED_LINES.reach_bins).any(axis=1))
-            if len(near):
-                lines = [self._fixed[k] for k in near.tolist()]
-                shares = (solve @ hann_lobe(used[:, None] - places[near].reshape(1, -1))).reshape(len(lines), -1)
-                phasors = self._phasors(item, used, solve)
-                made += met_stretches(item, rows, order, phasors, shares, lines, noise, self._unit[:, 0])
-        return made
+        stretches = [stretch for stretch in self._stretches([order, *close]) if not stretch.item.attrs.get("swept", 0)]
+        return met_rows(stretches, order, self._fixed, close=close, is_coherent=is_coherent)
 
     def follows(self, order: float) -> bool:
         """Whether ``order`` was followed through a sweep."""
@@ -258,9 +223,12 @@ class TrackReader:
         """``made`` with the rows of ``order`` as it beats with the lines ``beating``, over whole recordings."""
         lines = np.array([order, *beating])
         found: dict[int, list[CloseRow]] = {}
-        stretches = self._stretches(lines, [other for other in others if other not in beating])
+        apart = [other for other in others if other not in beating]
+        apart = [other for other in apart if LEAST_APART_BINS < abs(other - order) / self._step < TOGETHER_BINS]
         on_bin = np.abs(lines / self._step - np.rint(lines / self._step)) * self._step < ON_BIN
-        for one in close_rows(stretches, lines, wanders=bool(not on_bin[0] and on_bin[1:].all())):
+        for one in close_rows(
+            self._stretches([*lines, *apart]), lines, apart, wanders=bool(not on_bin[0] and on_bin[1:].all())
+        ):
             found.setdefault(one.row, []).append(one)
         values = {item.name: getattr(made, item.name).copy() for item in fields(OrderRows)}
         for row, parts in found.items():
@@ -275,24 +243,27 @@ class TrackReader:
             values["phase_ci95"][:, row] = np.where(phase_known, one.phase_half, np.nan)
         return OrderRows(**values)
 
-    def _stretches(self, lines: Floats, others: list[float]) -> list[Stretch]:
-        """Phasors of each recording in each row, of what is about ``lines`` (lines,) apart from ``others`` [orders]."""
-        step = self._step
-        centre = float(lines.mean()) / step
-        used, solve, share = self._lobe_fit(centre, self._close(centre, others))
+    def _stretches(self, lines: Sequence[float]) -> list[Stretch]:
+        """Frames of each recording in each row that are whole about the orders ``lines``; the first is told."""
+        order, top = lines[0], len(self._axis) - 1
+        first, last = (round(bound / self._step) for bound in (min(lines), max(lines)))
+        bins = slice(max(first - REACH_BINS, 0), min(last + REACH_BINS, top) + 1)
+        nearest = min(round(order / self._step), top)
         power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
-        nearest = min(round(centre), len(self._axis) - 1)
-        noise = share * noise_beside(power, self._beside[0][nearest][None])[..., 0]
-        kept = solve @ hann_lobe(used[:, None] - lines / step)
-        made = []
+        noise = np.nan_to_num(noise_beside(power, self._beside[0][nearest][None])[..., 0])
+        stretches = []
         for item, rows in zip(self._used, self._row_of_frames, strict=True):
-            phasors = self._phasors(item, used, solve)
-            whole = np.isfinite(phasors).all(axis=0)
+            spectrum, revs = item["spectrum"].values, float(item.attrs["revs_per_frame"])
+            turn, speed = item["crank_angle"].values + 0.5 * revs, item["speed"].values
+            speed = np.where(np.isfinite(speed), speed, 60.0)  # what goes with the shaft needs none
+            whole = np.isfinite(spectrum[:, :, bins]).all(axis=(0, 2))
             for row in np.unique(rows[whole]).tolist():
                 mine = whole & (rows == row)
-                begin, revs = item["crank_angle"].values[mine], float(item.attrs["revs_per_frame"])
-                made.append(Stretch(item, row, phasors[:, mine], begin, revs, kept, np.nan_to_num(noise[:, row])))
-        return made
+                scaled = np.asarray(spectrum[:, mine] / self._unit[..., None], dtype=np.complex128)
+                names = [str(name) for name in item["channel"].values]
+                held = HeldFrames.of(scaled, turn[mine], speed[mine], revs=revs, channels=names)
+                stretches.append(Stretch(item, row, held, noise[:, row], self._unit[:, 0]))
+        return stretches
 
     def _close(self, place: float, others: Sequence[float]) -> list[float]:
         """Those of the ``others`` [orders], in bins, that are solved together with a line ``place`` bins up."""
@@ -386,14 +357,6 @@ class TrackReader:
         centre = item["crank_angle"].values + 0.5 * revs
         values = item["spectrum"].values[:, :, used] * np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
         return np.asarray((values @ solve) / self._unit)
-
-
-def hann_lobe(off_bins: Floats) -> Floats:
-    """What a Hann window shows ``off_bins`` beside a line of amplitude 1, phases counted from the window's middle."""
-    edge = np.abs(np.abs(off_bins) - 1.0) < 1e-9
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.sinc(off_bins) / (1.0 - off_bins**2)
-    return np.asarray(np.where(edge, 0.5, found))
 
 
 def _place_in(item: xr.Dataset, order: float) -> int:

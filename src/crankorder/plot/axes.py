@@ -49,10 +49,9 @@ def dataset_of(given: object, noun: str, picture: str) -> xr.Dataset:
     """
     dataset = given.to_dataset() if isinstance(given, _TREE) else given
     wanted, place = _NOUNS[noun], f"crankorder.plot.{picture}"
-    if isinstance(dataset, xr.Dataset):
-        dataset = by_channel(dataset)
-    else:
+    if not isinstance(dataset, xr.Dataset):
         raise RequestError("this is no dataset", file=place, found=type(given).__name__, allowed=wanted)
+    dataset = by_channel(dataset)
     if (error := _misfit(dataset, noun)) is not None:
         known = next((text for other, text in _NOUNS.items() if _misfit(dataset, other) is None), "")
         given = known.partition(",")[0] or f"a dataset with {', '.join(map(str, dataset.variables)) or 'nothing in it'}"
@@ -92,14 +91,12 @@ def findings_of(findings: object, picture: str) -> Findings:
     """
     if isinstance(findings, Findings):
         return findings
-    place = f"crankorder.plot.{picture}"
-    if findings is None:
-        findings = _NOTHING
-    if not isinstance(findings, Mapping) or isinstance(findings, xr.Dataset | _TREE):
+    place, stated = f"crankorder.plot.{picture}", _NOTHING if findings is None else findings
+    if not isinstance(stated, Mapping) or isinstance(stated, xr.Dataset | _TREE):
         wanted = "findings, as crankorder.diagnose returns it, or a dict, as findings.json holds it"
         raise RequestError("these are no findings", file=place, found=type(findings).__name__, allowed=wanted)
     try:
-        return Findings.from_dict(findings)
+        return Findings.from_dict(stated)
     except InputError as error:
         problem = f"these are no findings: {error.problem}"
         raise RequestError(problem, file=place, place=error.place, found=error.found, allowed=error.allowed) from error
@@ -176,7 +173,7 @@ def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None
     """
     from matplotlib.ticker import MaxNLocator
 
-    from crankorder.plot.style import log_axis
+    from crankorder.plot.painter import log_axis
 
     if len(x) and x[-1] > x[0]:
         axes.set_xlim(x[0], x[-1])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -16,10 +16,20 @@ from numpy.typing import NDArray
 
 from crankorder.findings import Findings, ModeFinding, OrderFinding
 from crankorder.plot.axes import axes_for, channel_of, dress, findings_of, keys_below, painted, positive, scale, y_label
-from crankorder.plot.cells import bin_edges, gaps_between, level_limits, level_of, pooled, speed_cells, with_gaps
 from crankorder.plot.drawing import ORDER, SOLID, Drawing, Field, Panel, Stroke, Words
-from crankorder.plot.fixed_lines import Mark, fixed_frequencies, mode_keys, mode_marks, mode_style
-from crankorder.plot.labels import EdgeLabel, Key, draw_keys, fitted, head_of_test, label_right, label_top
+from crankorder.plot.labels import (
+    EdgeLabel,
+    Key,
+    Mark,
+    draw_keys,
+    fitted,
+    head_of_test,
+    label_right,
+    label_top,
+    mode_keys,
+    mode_marks,
+    mode_style,
+)
 from crankorder.plot.palette import (
     AVOID,
     FAINT,
@@ -34,13 +44,127 @@ from crankorder.plot.palette import (
     level_colours,
     rgb_of,
 )
-from crankorder.plot.reading import channel_level, free_bands, is_whirl, not_judged_rpm, open_bands, order_name
-from crankorder.quantities import Floats
+from crankorder.plot.reading import (
+    channel_level,
+    fixed_frequencies,
+    free_bands,
+    is_whirl,
+    not_judged_rpm,
+    open_bands,
+    order_name,
+)
+from crankorder.quantities import Bools, Floats
 from crankorder.records import known
 from crankorder.settings import ReportSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+_REACH_STEPS = 2.0  # speeds more than twice so many typical steps apart leave a gap in the tested range …
+_REACH_SHARE = 0.03  # … and more than twice this share of it
+_LEAST_RANGE_DB = 20.0  # a colour scale spans at least this, so that noise alone looks like noise
+
+
+def speed_cells(speeds_rpm: Floats) -> Floats:
+    """Lower and upper edge [rpm] of each speed's cell, shape (speed, 2): half-way to its neighbours.
+
+    ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %. The first and the last of several end at
+    themselves: nothing was measured beyond. In a wide gap of the tested range a cell reaches as far as on its other
+    side: what lies between was not measured.
+    """
+    speeds = np.asarray(speeds_rpm, dtype=float)
+    steps = np.diff(speeds)
+    if not len(steps) or not steps.any():
+        half = max(0.025 * abs(float(speeds[0])), 1.0)
+        return np.tile([speeds[0] - half, speeds[0] + half], (len(speeds), 1))
+    reach = max(_REACH_STEPS * float(np.median(steps)), _REACH_SHARE * float(speeds[-1] - speeds[0]))
+    usual = float(np.median(steps)) / 2
+    halves = np.where(steps / 2 > reach, np.nan, steps / 2)  # NaN: a gap
+    down, up = np.concatenate([[np.nan], halves]), np.concatenate([halves, [np.nan]])
+    down, up = (
+        np.where(np.isnan(half), np.where(np.isnan(other), usual, other), half)
+        for half, other in ((down, up), (up, down))
+    )
+    low, high = float(speeds[0]), float(speeds[-1])
+    return np.asarray(np.clip(np.stack([speeds - down, speeds + up], axis=1), low, high))
+
+
+def gaps_before(cells: Floats) -> Bools:
+    """True for each of ``cells`` (speed, 2) [rpm] before which a range lies that no cell covers."""
+    apart = cells[1:, 0] - cells[:-1, 1] > 1e-9 * np.maximum(np.abs(cells[1:, 0]), 1.0)
+    return np.concatenate([[False], apart])
+
+
+def gaps_between(cells: Floats) -> list[tuple[float, float]]:
+    """Ranges [rpm] between neighbouring ``cells`` (speed, 2) that no cell covers."""
+    return [(float(cells[at - 1, 1]), float(cells[at, 0])) for at in np.flatnonzero(gaps_before(cells))]
+
+
+def with_gaps(values: NDArray[Any], cells: Floats, *, empty: float = np.nan) -> tuple[NDArray[Any], Floats]:
+    """Rows of a map and their edges, with a row of ``empty`` for every gap.
+
+    ``values`` shape (speed, bins); ``cells`` shape (speed, 2) [rpm] from :func:`speed_cells`.
+    """
+    gap = np.flatnonzero(gaps_before(cells))
+    rows = np.insert(values, gap, empty, axis=0)
+    return rows, np.concatenate([cells[:1, 0], np.sort(np.concatenate([cells[:, 1], cells[gap, 0]]))])
+
+
+def bin_edges(centres: Floats) -> Floats:
+    """Edges of bins around ascending ``centres``, one more than these; the first and last bin are symmetric."""
+    if len(centres) < 2:
+        return np.array([centres[0] - 0.5, centres[0] + 0.5])
+    middle = (centres[1:] + centres[:-1]) / 2
+    return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
+
+
+def pooled(values: NDArray[Any], edges: Floats, pixels: Floats, *, axis: int) -> NDArray[Any]:
+    """Largest value under each pixel: thin lines survive, pixels narrower than a cell repeat it, outside is -inf.
+
+    A cell belongs to the pixels that begin in it, else to the one that it lies in, so that no line grows wider.
+
+    ``values`` (none of them NaN) of cells with ascending ``edges`` along ``axis``; ``pixels`` are the edges of the
+    pixels in the same unit, ascending or descending.
+    """
+    if pixels[0] > pixels[-1]:
+        return np.flip(pooled(values, edges, pixels[::-1], axis=axis), axis)
+    n = values.shape[axis]
+    first = np.searchsorted(edges, pixels[:-1], side="right") - 1
+    stop = np.searchsorted(edges, pixels[1:], side="left")
+    begin = np.clip(first, 0, n - 1)
+    last = int(np.clip(stop[-1], begin[-1] + 1, n))
+    taken = np.maximum.reduceat(np.take(values, np.arange(last), axis=axis), begin, axis=axis)
+    outside = (stop <= 0) | (first >= n)
+    if not outside.any():
+        return np.asarray(taken)
+    shape = [-1 if number == axis else 1 for number in range(values.ndim)]
+    return np.where(outside.reshape(shape), -np.inf, taken)
+
+
+def level_of(values: Any, reference: float) -> Any:
+    """Level [dB] of amplitudes ``values`` over ``reference``; 1e-300 and 1e300 survive."""
+    wide = np.asarray(values, dtype=np.float64)  # 1e-300 is zero in 32 bits
+    return 20 * (np.log10(np.maximum(wide, 1e-300)) - np.log10(reference))
+
+
+def level_limits(
+    amplitude: NDArray[Any], reference: float, *, range_db: float, narrow: bool = False
+) -> tuple[float, float]:
+    """Ends of a colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range.
+
+    ``amplitude`` of a map, ``reference`` of its level in the same unit; ``range_db`` the greatest range, which may be
+    less than 20 dB where ``narrow``.
+    """
+    values = amplitude[amplitude > 0]
+    if not len(values):
+        return 0.0, range_db
+    twentieth = np.partition(values, len(values) // 20)[len(values) // 20]
+    ends = 5 * np.array([np.floor(level_of(twentieth, reference) / 5), np.ceil(level_of(values.max(), reference) / 5)])
+    low = max(float(ends[0]), float(ends[1]) - range_db)
+    least_db = min(_LEAST_RANGE_DB, range_db) if narrow else _LEAST_RANGE_DB
+    return min(low, float(ends[1]) - least_db), float(ends[1])
+
 
 _LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches
 _NOTE = 2.2  # inches at the right of the foot, where a note on quality may stand
@@ -154,28 +278,22 @@ def campbell_figure(
 
 def draw_levels(panel: Panel, levels: LevelMap, limits: tuple[float, float]) -> None:
     """Draw ``levels`` as colours over ``panel``, from the first to the second of ``limits`` in dB, and their bar."""
-    drawing, box = panel.drawing, panel.box
+    drawing, (left, bottom, width, height), (quietest, loudest) = panel.drawing, panel.box, limits
     colours = level_colours().copy()
     colours[0] = rgb_of(NOT_MEASURED)
-    drawing.add(Field(colours[_shades(panel, levels, limits)[::-1]], box))
-    bar = Panel(drawing, (box[0] + box[2] + 0.62, box[1], 0.17, box[3]), (0.0, 1.0), limits)
-    drawing.add(Field(np.repeat(level_colours()[:0:-1, None], 2, axis=1), bar.box))
-    bar.frame(whole=True)
-    ticks = np.arange(10 * np.ceil(limits[0] / 10), limits[1] + 0.1, 10)
-    bar.y_axis(levels.label, places=ticks.tolist(), grid=False, right=True)
-
-
-def _shades(panel: Panel, levels: LevelMap, limits: tuple[float, float]) -> NDArray[np.uint8]:
-    """Shade 1…255 of each pixel of ``panel``, the first row the slowest; 0 is unknown.
-
-    ``limits`` of level [dB] are the shades 1 and 255. A pixel shows the largest value under it.
-    """
+    # shades 1…255 of each pixel, the first row the slowest, 0 where unknown: the largest value under it
     values, edges = with_gaps(levels.amplitude, levels.cells, empty=-1.0)
     x, y = panel.pixel_edges()
     across = pooled(values, bin_edges(levels.place), x, axis=1)
-    share = (level_of(across, levels.reference) - limits[0]) / (limits[1] - limits[0])
+    share = (level_of(across, levels.reference) - quietest) / (loudest - quietest)
     shade = np.where(across < 0, 0, 1 + np.clip(255 * share, 0, 254)).astype(np.uint8)
-    return np.asarray(np.maximum(pooled(shade, edges, y, axis=0), 0), dtype=np.uint8)
+    shades = np.asarray(np.maximum(pooled(shade, edges, y, axis=0), 0), dtype=np.uint8)
+    drawing.add(Field(colours[shades[::-1]], panel.box))
+    bar = Panel(drawing, (left + width + 0.62, bottom, 0.17, height), (0.0, 1.0), limits)
+    drawing.add(Field(np.repeat(level_colours()[:0:-1, None], 2, axis=1), bar.box))
+    bar.frame(whole=True)
+    ticks = np.arange(10 * np.ceil(quietest / 10), loudest + 0.1, 10)
+    bar.y_axis(levels.label, places=ticks.tolist(), grid=False, right=True)
 
 
 def draw_findings(panel: Panel, levels: LevelMap, findings: Findings, channel: str, *, limit: int) -> list[Key]:
@@ -189,7 +307,15 @@ def draw_findings(panel: Panel, levels: LevelMap, findings: Findings, channel: s
     _draw_orders(panel, levels, orders, findings)
     _draw_modes(panel, levels, modes, channel)
     circles = not levels.timeless and _draw_crossings(panel, levels, findings, channel)
-    _draw_notes(panel, levels)
+    low, high = panel.y
+    for start, end in gaps_between(levels.cells):
+        start, end = max(start, low), min(end, high)
+        if (end - start) * panel.box[3] > 0.3 * (high - low):
+            panel.note("not measured", up=float(panel.share((start + end) / 2)))
+    if not len(levels.speed):
+        panel.note("nothing was measured")
+    elif not np.any(levels.amplitude > 0):
+        panel.note("no signal: every value is zero")
     _label_edges(panel, levels, orders, modes, findings)
     if guides:
         keys = [Key("order, for orientation", FAINT)]
@@ -221,18 +347,6 @@ def is_of_cycle(record: OrderFinding | Guide) -> bool:
     return not {"gas cycle", "half order of the four-stroke cycle"}.isdisjoint(record.kinds)
 
 
-def _draw_notes(panel: Panel, levels: LevelMap) -> None:
-    low, high = panel.y
-    for start, end in gaps_between(levels.cells):
-        start, end = max(start, low), min(end, high)
-        if (end - start) * panel.box[3] > 0.3 * (high - low):
-            panel.note("not measured", up=float(panel.share((start + end) / 2)))
-    if not len(levels.speed):
-        panel.note("nothing was measured")
-    elif not np.any(levels.amplitude > 0):
-        panel.note("no signal: every value is zero")
-
-
 def _draw_orders(panel: Panel, levels: LevelMap, orders: Sequence[OrderFinding | Guide], findings: Findings) -> None:
     low, high = panel.y
     everywhere = np.array([low, high])
@@ -257,7 +371,7 @@ def _guides(panel: Panel, levels: LevelMap) -> list[Guide]:
     """Whole orders for orientation that cross the map, at most twelve; no findings stand behind them."""
     highest = panel.x[1] if levels.by_order else 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
     step = next((step for step in (1, 2, 5, 10, 20, 50, 100) if highest / step <= _MOST_GUIDES), 0)
-    orders = {1.0, *(float(order) for order in np.arange(step, highest, step))} if step else {1.0}
+    orders = {1.0, *(map(float, np.arange(step, highest, step)) if step else ())}
     return [Guide(order) for order in sorted(orders)]
 
 
@@ -351,18 +465,17 @@ def draw_strip(panel: Panel, findings: Findings) -> list[EdgeLabel]:
     """Draw the strip of the ``findings`` right of ``panel``; the labels of the speeds to avoid, for its right edge."""
     low, high = panel.y
     for name, color, bands in (("not-free", NOT_JUDGED, open_bands), ("free", FREE, free_bands)):
-        for number, band in enumerate(bands(findings)):
-            _mark(panel, (max(band[0], low), min(band[1], high)), color, f"{name}-{number}")
+        for number, (start, end) in enumerate(bands(findings)):
+            _mark(panel, (max(start, low), min(end, high)), color, f"{name}-{number}")
     for number, rpm in enumerate(_open_rpm(findings)):
         if low <= rpm <= high:
             _mark(panel, (rpm * (1 - _OPEN_SHARE), rpm * (1 + _OPEN_SHARE)), NOT_JUDGED, f"open-{number}")
     labels = []
     for number, (start, end, rpm) in enumerate(_ranges(findings)):
-        if end <= low or start >= high:
-            continue
-        _mark(panel, (max(start, low), min(end, high)), AVOID, f"avoid-{number}")
-        at = float(panel.at(panel.x[1], min(max(rpm, low), high))[0, 1])
-        labels.append(EdgeLabel(at, f"{rpm:.0f}", AVOID, 1000 + number))
+        if low < end and start < high:
+            _mark(panel, (max(start, low), min(end, high)), AVOID, f"avoid-{number}")
+            at = float(panel.at(panel.x[1], min(max(rpm, low), high))[0, 1])
+            labels.append(EdgeLabel(at, f"{rpm:.0f}", AVOID, 1000 + number))
     return labels[:_LABELS]
 
 
@@ -372,11 +485,12 @@ def _open_rpm(findings: Findings) -> list[float]:
 
 
 def _mark(panel: Panel, speeds: tuple[float, float], color: str, name: str) -> None:
-    if speeds[1] <= speeds[0]:
+    slow, fast = speeds
+    if fast <= slow:
         return
-    x = panel.box[0] + panel.box[2] + _AT_IN
-    bottom, top = (float(panel.at(panel.x[1], speed)[0, 1]) for speed in speeds)
-    short = max(_LEAST_IN - (top - bottom), 0.0) / 2
+    left, _, width, _ = panel.box
+    (_, bottom), (_, top) = panel.at(panel.x[1], np.array(speeds))
+    x, short = left + width + _AT_IN, max(_LEAST_IN - (top - bottom), 0.0) / 2
     ends = np.array([[x, bottom - short], [x, top + short]])
     values = (np.array([np.nan, np.nan]), np.array(speeds))
     panel.drawing.add(Stroke(ends, color, _WIDTH_PT, square=True, name=name, values=values))

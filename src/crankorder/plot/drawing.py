@@ -174,8 +174,9 @@ def whole(places: Floats) -> Ints:
 
 def pixels_of(box: Box, dpi: float) -> tuple[int, int]:
     """Rows and columns that a :class:`Field` over ``box`` has at ``dpi``."""
-    left, right, bottom, top = whole(dpi * np.array([box[0], box[0] + box[2], box[1], box[1] + box[3]]))
-    return int(top - bottom), int(right - left)
+    left, bottom, width, height = box
+    left, right, low, high = whole(dpi * np.array([left, left + width, bottom, bottom + height]))
+    return int(high - low), int(right - left)
 
 
 @dataclass(frozen=True)
@@ -225,10 +226,9 @@ class Panel:
 
     def dots(self, x: Floats, y: Floats, *, color: str, radius: float) -> None:
         """Discs at ``x``, ``y`` in ``color``; ``radius`` in points."""
-        values = (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        left, bottom, width, height = self.box
-        by = radius / 72
+        (left, bottom, width, height), by = self.box, radius / 72
         within = (left - by, bottom - by, width + 2 * by, height + 2 * by)
+        values = (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
         self.drawing.add(Rings(self.at(x, y), radius, color, within=within, values=values))
 
     def rings(
@@ -258,10 +258,8 @@ class Panel:
     def note(self, text: str, *, up: float = 0.5) -> None:
         """``text`` on a white ground in the middle of the panel, at the share ``up`` of its height."""
         left, bottom, width, height = self.box
-        x, y = left + 0.5 * width, bottom + up * height
-        half = text_width_in(text, NORMAL) / 2 + 0.05
-        ground = np.array([[x - half, y], [x + half, y]])
-        self.drawing.add(Stroke(ground, "#ffffff", 14.0))
+        x, y, half = left + 0.5 * width, bottom + up * height, text_width_in(text, NORMAL) / 2 + 0.05
+        self.drawing.add(Stroke(np.array([[x - half, y], [x + half, y]]), "#ffffff", 14.0))
         self.drawing.add(Words(x, y, text, NORMAL, FAINT, along="centre", across="centre"))
 
     def frame(self, *, whole: bool = False) -> None:
@@ -273,10 +271,8 @@ class Panel:
         for ends in pairwise(corners):
             self._edge(*ends)
 
-    def _edge(
-        self, start: tuple[float, float], end: tuple[float, float], color: str = FAINT, width: float = 0.8
-    ) -> None:
-        self.drawing.add(Stroke(np.array([start, end]), color, width, square=True))
+    def _edge(self, *ends: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
+        self.drawing.add(Stroke(np.array(ends), color, width, square=True))
 
     def x_axis(
         self, label: str = "", *, most: int = 8, whole: bool = False, named: bool = True, grid: bool = True
@@ -286,7 +282,7 @@ class Panel:
         places = linear_ticks(*self.x, most=most, whole=whole)
         for (x, _), text in zip(self.at(places, np.full(len(places), self.y[1])), linear_texts(places), strict=True):
             if grid:
-                self._edge((x, bottom), (x, bottom + height), GRID, 0.6)
+                self._edge((x, bottom), (x, bottom + height), color=GRID, width=0.6)
             self._edge((x, bottom), (x, bottom - _TICK_IN))
             if named:
                 low = bottom - _TICK_IN - _PAD_IN
@@ -316,7 +312,7 @@ class Panel:
         edge, out = (left + width, 1) if right else (left, -1)
         for (_, y), text in zip(self.at(np.full(len(marks), self.x[1]), marks), texts, strict=True):
             if grid:
-                self._edge((left, y), (left + width, y), GRID, 0.6)
+                self._edge((left, y), (left + width, y), color=GRID, width=0.6)
             self._edge((edge, y), (edge + out * _TICK_IN, y))
             x = edge + out * (_TICK_IN + _PAD_IN)
             self.drawing.add(

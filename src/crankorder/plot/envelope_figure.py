@@ -11,8 +11,7 @@ import xarray as xr
 from crankorder.findings import Findings
 from crankorder.plot.axes import axes_for, channel_of, dress, keys_below, painted, positive, scale, values_of, y_label
 from crankorder.plot.drawing import ORDER, Drawing, Panel, Words, log_limits
-from crankorder.plot.fixed_lines import Mark
-from crankorder.plot.labels import EdgeLabel, Key, draw_keys, head_of_test, label_width_in
+from crankorder.plot.labels import EdgeLabel, Key, Mark, draw_keys, head_of_test, label_width_in
 from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES, drawable, shortened
 from crankorder.plot.reading import is_number, nominal_order, order_name, order_text, order_texts
 from crankorder.plot.spectra_figure import DECADES, column_boxes, column_panels, draw_spectrum, label_column, ring_lines
@@ -100,23 +99,19 @@ def _expected(findings: Findings, width_in: float) -> list[Mark]:
 
     Names of bearings are as long as all texts together fit into ``width_in`` inches.
     """
-    choices = [_expected_with(findings, letters) for letters in _NAME_LETTERS]
-    return next((marks for marks in choices if _labels_width_in(marks) <= width_in), choices[-1])
-
-
-def _expected_with(findings: Findings, letters: int) -> list[Mark]:
-    """Marks of the expected lines, with bearing names of at most ``letters``."""
     records = [record for record in findings.bearings if is_number(record.order_expected)]
-    names = _short({drawable(record.name, _NAME_LETTERS[0]) for record in records}, letters)
-    marks: dict[float, list[str]] = {}
-    for record in sorted(records, key=lambda record: record.order_expected):
-        text = drawable(str(record.line or "").replace("*", "·"), _NAME_LETTERS[0])
-        if len(names) > 1:
-            text = f"{text} {names[drawable(record.name, _NAME_LETTERS[0])]}"
-        texts = marks.setdefault(record.order_expected, [])
-        if text not in texts:
-            texts.append(text)
-    return [(order, f"{', '.join(texts[:2])} {order_text(order)}", MODE) for order, texts in marks.items()]
+    records.sort(key=lambda record: record.order_expected)
+    choices = []
+    for letters in _NAME_LETTERS:
+        names = _short({drawable(record.name, _NAME_LETTERS[0]) for record in records}, letters)
+        texts: dict[float, dict[str, None]] = {}
+        for record in records:
+            text = drawable(str(record.line or "").replace("*", "·"), _NAME_LETTERS[0])
+            if len(names) > 1:
+                text = f"{text} {names[drawable(record.name, _NAME_LETTERS[0])]}"
+            texts.setdefault(record.order_expected, {})[text] = None
+        choices.append([(order, f"{', '.join([*of][:2])} {order_text(order)}", MODE) for order, of in texts.items()])
+    return next((marks for marks in choices if _labels_width_in(marks) <= width_in), choices[-1])
 
 
 def _short(names: set[str], letters: int) -> dict[str, str]:

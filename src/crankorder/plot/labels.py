@@ -1,4 +1,4 @@
-"""Labels at the edges of a diagram that never overlap, each tied to its place; its head, and keys at its foot."""
+"""Labels at the edges of a diagram that never overlap, each tied to its place; its head, keys, and marks of lines."""
 
 from __future__ import annotations
 
@@ -8,9 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.findings import Findings
+from crankorder.findings import Findings, ModeFinding
 from crankorder.plot.drawing import SOLID, Box, Dashes, Drawing, Rings, Stroke, Words, quality_text, title_lines
-from crankorder.plot.palette import CAP_HEIGHT, INK, LARGE, MAINS, SMALL, drawable, shortened, text_width_in
+from crankorder.plot.palette import (
+    CAP_HEIGHT,
+    DOUBT_DASHES,
+    INK,
+    LARGE,
+    MAINS,
+    MAINS_ON_MAP,
+    MODE,
+    MODE_DASHES,
+    MODE_ON_MAP,
+    SMALL,
+    TONE_DASHES,
+    drawable,
+    shortened,
+    text_width_in,
+)
+from crankorder.plot.reading import frequency_text, is_tone, is_undecided
 from crankorder.quantities import Floats
 
 GAP_IN = 0.05
@@ -165,27 +181,56 @@ def draw_keys(
 
     ``room_in``: width in inches that a row may take; ``base_in``: height of the first row's baseline.
     """
-    rows: list[list[Key]] = [[]]
+    rows: list[list[tuple[Key, float]]] = [[]]
     used = 0.0
     for key in keys:
         width = _SAMPLE_IN + _GAP_IN + text_width_in(key.text, _KEY_SIZE) + _BETWEEN_IN
         if rows[-1] and used + width - _BETWEEN_IN > room_in and len(rows) < most:
             rows, used = [*rows, []], 0.0
-        rows[-1].append(key)
+        rows[-1].append((key, left_in + used))
         used += width
     for number, row in enumerate(rows):
         down = number and _DOWN_IN + (number - 1) * (_UP_IN + _DOWN_IN)
-        _row(drawing, left_in, row, base_in - down if number or len(rows) == 1 else base_in + _UP_IN)
+        base = base_in - down if number or len(rows) == 1 else base_in + _UP_IN
+        middle = base + CAP_HEIGHT / 2 * _KEY_SIZE / 72
+        for key, x in row:
+            if key.ring:
+                drawing.add(Rings(np.array([[x + _SAMPLE_IN / 2, middle]]), 4.0, key.color, width=1.4))
+            else:
+                ends = np.array([[x, middle], [x + _SAMPLE_IN, middle]])
+                drawing.add(Stroke(ends, key.color, key.width, key.dashes, square=True))
+            drawing.add(Words(x + _SAMPLE_IN + _GAP_IN, base, key.text, _KEY_SIZE, INK))
 
 
-def _row(drawing: Drawing, left_in: float, keys: Sequence[Key], base_in: float) -> None:
-    x, middle = left_in, base_in + CAP_HEIGHT / 2 * _KEY_SIZE / 72
-    for key in keys:
-        if key.ring:
-            drawing.add(Rings(np.array([[x + _SAMPLE_IN / 2, middle]]), 4.0, key.color, width=1.4))
-        else:
-            ends = np.array([[x, middle], [x + _SAMPLE_IN, middle]])
-            drawing.add(Stroke(ends, key.color, key.width, key.dashes, square=True))
-        x += _SAMPLE_IN + _GAP_IN
-        drawing.add(Words(x, base_in, key.text, _KEY_SIZE, INK))
-        x += text_width_in(key.text, _KEY_SIZE) + _BETWEEN_IN
+Mark = tuple[float, str, str]
+"""Place along the axis, text and colour of what is named above a diagram."""
+
+
+def mode_style(mode: ModeFinding) -> tuple[str, str, str, Dashes]:
+    """Kind, colour, colour over a map and dashes of the line of a ``mode``: tone, doubt or natural frequency."""
+    if is_tone(mode):
+        return "tone", MAINS, MAINS_ON_MAP, TONE_DASHES
+    kind, dashes = ("doubt", DOUBT_DASHES) if is_undecided(mode) else ("mode", MODE_DASHES)
+    return kind, MODE, MODE_ON_MAP, dashes
+
+
+def mode_text(mode: ModeFinding) -> str:
+    """Label of a ``mode``: its frequency, with a question mark where it is not decided."""
+    return f"{frequency_text(mode.frequency_hz)}{'?' * is_undecided(mode)} Hz"
+
+
+def mode_marks(modes: list[ModeFinding]) -> list[Mark]:
+    """Frequency, label and colour of each of ``modes``, for the edge of a diagram."""
+    return [(mode.frequency_hz, mode_text(mode), mode_style(mode)[1]) for mode in modes]
+
+
+def mode_keys(modes: list[ModeFinding]) -> list[Key]:
+    """Legend of the dashed and dotted lines of ``modes``: natural frequencies, doubts, tones."""
+    kinds = {mode_style(mode)[0] for mode in modes}
+    keys = [Key("natural frequency", MODE, MODE_DASHES)] if "mode" in kinds else []
+    keys += [Key("not decided", MODE, DOUBT_DASHES)] if "doubt" in kinds else []
+    of_mains = {mode.kinds == ("mains",) for mode in modes if is_tone(mode)}
+    if of_mains:
+        label = "mains or fixed tone" if len(of_mains) > 1 else "mains" if True in of_mains else "fixed tone"
+        keys.append(Key(label, MAINS, TONE_DASHES))
+    return keys

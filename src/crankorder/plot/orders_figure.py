@@ -14,7 +14,7 @@ from crankorder.channel_units import unit_text
 from crankorder.errors import RequestError
 from crankorder.findings import Findings
 from crankorder.plot.axes import axes_for, channel_of, dress, painted, scale, y_label
-from crankorder.plot.cells import gaps_before, speed_cells
+from crankorder.plot.campbell_figure import gaps_before, speed_cells
 from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
@@ -148,7 +148,7 @@ def _subtitle(n_orders: int, shown: int, *, clear: bool) -> str:
 
 def _draw_channel(drawing: Drawing, shown: ShownTracks, channel: int, box: Box) -> None:
     left, bottom, width, height = box
-    phase_height = 0.3 * height
+    phase_height, first = 0.3 * height, left == _LEFT
     low, high = float(shown.speed[0]), float(shown.speed[-1])
     margin = 0.03 * (high - low) if high > low else max(0.05 * abs(low), 1.0)
     ends = low - margin, high + (0 if high > low else margin)
@@ -157,13 +157,23 @@ def _draw_channel(drawing: Drawing, shown: ShownTracks, channel: int, box: Box) 
     upper_box = (left, bottom + phase_height + 0.22, width, height - phase_height - 0.22)
     upper = Panel(drawing, upper_box, ends, limits, logarithmic)
     lower = Panel(drawing, (left, bottom, width, phase_height), ends, (-190.0, 190.0))
-    _draw_axes(upper, lower, shown, channel, first=left == _LEFT)
+    ticks = int(np.clip(1.8 * width, 3, 10))
+    upper.x_axis(most=ticks, whole=True, named=False)
+    lower.x_axis("Speed, rpm", most=ticks, whole=True)
+    named = first or shown.units[channel] != shown.units[0]
+    label = f"Amplitude (peak), {drawable(unit_text(shown.units[channel]), 24)}" if named else ""
+    empty = not np.isfinite(shown.amplitude[channel]).any() and not logarithmic and limits == (0.0, 1.0)
+    upper.y_axis(label, most=7, places=[] if empty else None)
+    lower.y_axis(_PHASE_OF.get(shown.reference, "Phase") if first else "", places=[-180, -90, 0, 90, 180])
+    upper.frame()
+    lower.frame()
     draw_tracks(upper, shown, channel)
-    for number in np.argsort(-shown.rank):
-        if shown.reference in _PHASE_OF and shown.coloured[number]:
-            _draw_phase(lower, shown, channel, int(number))
     if shown.reference not in _PHASE_OF:
         lower.note("no phase reference")
+        return
+    for number in np.argsort(-shown.rank):
+        if shown.coloured[number]:
+            _draw_phase(lower, shown, channel, int(number))
 
 
 def draw_tracks(panel: Panel, shown: ShownTracks, channel: int) -> None:
@@ -182,20 +192,6 @@ def _scale(clear: Floats) -> tuple[tuple[float, float], bool]:
     if top < _LOG_RATIO * float(peaks[peaks > 0].min()):
         return (0.0, 1.08 * top), False
     return (max(float(np.nanquantile(clear, 0.005)) / 1.5, 1e-6 * top), min(1.6 * top, 1e307)), True
-
-
-def _draw_axes(upper: Panel, lower: Panel, shown: ShownTracks, channel: int, *, first: bool) -> None:
-    ticks = int(np.clip(1.8 * upper.box[2], 3, 10))
-    upper.x_axis(most=ticks, whole=True, named=False)
-    lower.x_axis("Speed, rpm", most=ticks, whole=True)
-    named = first or shown.units[channel] != shown.units[0]
-    label = f"Amplitude (peak), {drawable(unit_text(shown.units[channel]), 24)}" if named else ""
-    empty = not np.isfinite(shown.amplitude[channel]).any() and not upper.log_y and upper.y == (0.0, 1.0)
-    upper.y_axis(label, most=7, places=[] if empty else None)
-    phase = _PHASE_OF.get(shown.reference, "Phase") if first else ""
-    lower.y_axis(phase, places=[-180, -90, 0, 90, 180])
-    upper.frame()
-    lower.frame()
 
 
 def _broken(speed: Floats, values: Floats, *, wrap: float = np.inf) -> NDArray[np.intp]:

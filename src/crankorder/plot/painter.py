@@ -1,30 +1,161 @@
-"""What a drawing is made of, drawn with a renderer of matplotlib: no axes, figure or artist, nothing measured anew."""
+"""The look of the pictures that matplotlib draws: type, margins, text that stays text; and how a drawing is painted.
+
+A drawing is painted with a renderer of matplotlib: no axes, figure or artist, nothing measured anew.
+"""
 
 from __future__ import annotations
 
 import struct
+import threading
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from io import BytesIO
+from math import log10
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.path import Path
+from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from matplotlib.transforms import Affine2D, Bbox
 from numpy.typing import NDArray
 
-from crankorder.plot.drawing import Area, Box, Drawing, Field, Panel, Rings, Stroke, Words, pixels_of, whole
-from crankorder.plot.palette import font_file, rgb_of, text_ink
-from crankorder.plot.style import house_style, new_figure
+from crankorder.findings import Findings
+from crankorder.plot.drawing import (
+    FEW_DECADES,
+    Area,
+    Box,
+    Drawing,
+    Field,
+    Panel,
+    Rings,
+    Stroke,
+    Words,
+    decade_text,
+    pixels_of,
+    quality_text,
+    whole,
+)
+from crankorder.plot.palette import (
+    FAINT,
+    GRID,
+    INK,
+    LARGE,
+    MAINS,
+    NORMAL,
+    SMALL,
+    drawable,
+    font_file,
+    rgb_of,
+    shortened,
+    text_ink,
+)
 from crankorder.quantities import Floats
 from crankorder.settings import PictureFormat
+
+_LOCK = threading.RLock()  # rc settings are global to matplotlib, and tests are analysed in threads
+_HOUSE: Mapping[str, object] = {
+    "font.family": ["DejaVu Sans"], "font.size": NORMAL, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
+    "axes.linewidth": 0.8, "axes.titlelocation": "left", "axes.axisbelow": True, "grid.color": GRID,
+    "grid.linewidth": 0.6, "text.color": INK, "text.parse_math": False, "text.usetex": False, "text.hinting": "default",
+    "xtick.color": FAINT, "ytick.color": FAINT, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.5, "ytick.labelsize": 8.5,
+    "lines.linewidth": 1.3, "figure.facecolor": "white", "axes.facecolor": "white", "savefig.facecolor": "white",
+    "svg.hashsalt": "crankorder",
+    "axes.unicode_minus": True, "axes.formatter.use_mathtext": False, "path.simplify": True,
+}  # fmt: skip
+_NOT_LOOK = ("backend", "interactive", "toolbar", "timezone", "tk.", "webagg.", "keymap.", "docstring.", "_internal")
+
+
+@cache
+def _look() -> Mapping[str, object]:
+    """Every rc setting that shapes a picture: matplotlib's defaults (not the user's file) with the house's on top."""
+    defaults = {str(key): value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith(_NOT_LOOK)}
+    return {**defaults, **_HOUSE}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """The house's settings for the time of a ``with`` block, whatever matplotlibrc says; one thread at a time."""
+    with _LOCK, matplotlib.rc_context(_look()):  # type: ignore[arg-type]  # its keys are a Literal of every setting
+        yield
+
+
+def title_lines(figure: Figure, left_in: float, title: str, sentence: str) -> None:
+    """Bold ``title`` and a ``sentence`` under it, from ``left_in`` inches at the top of ``figure``, cut to fit."""
+    width, height = figure.get_size_inches()
+    room = width - left_in - 0.2
+    write(figure, left_in, height - 0.34, shortened(title, LARGE, room, bold=True), fontsize=LARGE, fontweight="bold")
+    if sentence:
+        write(figure, left_in, height - 0.56, shortened(sentence, NORMAL, room), color=FAINT)
+
+
+def head_of_test(figure: Figure, left_in: float, findings: Findings, what: str, sentence: str, *, longest: int) -> None:
+    """Title of ``figure``: the test of ``findings`` and ``what`` is shown of it, a ``sentence`` below, their doubts.
+
+    From ``left_in`` inches; the name of the test is cut at ``longest`` characters. The doubts stand at the foot.
+    """
+    title_lines(figure, left_in, f"{drawable(findings.test, longest)} · {what}", sentence)
+    text = quality_text(findings)
+    if text:
+        place = figure.get_size_inches()[0] - 0.2
+        write(figure, place, 0.14, text, ha="right", color=MAINS, fontsize=SMALL + 0.5)
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Empty figure on the Agg canvas, ``width_in`` by ``height_in`` inches."""
+    figure = Figure(figsize=(width_in, height_in))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def axes_at(figure: Figure, left_in: float, bottom_in: float, width_in: float, height_in: float) -> Axes:
+    """Axes at a place given in inches: ``left_in``, ``bottom_in``, ``width_in``, ``height_in`` on ``figure``."""
+    width, height = figure.get_size_inches()
+    return figure.add_axes((left_in / width, bottom_in / height, width_in / width, height_in / height))
+
+
+def write(figure: Figure, x_in: float, y_in: float, text: str, **look: Any) -> Text:
+    """``text``, taken literally, at (``x_in``, ``y_in``) inches on ``figure``; ``look``: matplotlib text properties."""
+    width, height = figure.get_size_inches()
+    return figure.text(x_in / width, y_in / height, text, parse_math=False, **look)
+
+
+def note(axes: Axes, text: str, place: tuple[float, float] = (0.5, 0.5), **look: Any) -> None:
+    """``text`` on a white ground at a ``place`` (shares) of ``axes``, in the middle; ``look``: text properties."""
+    ground = {"facecolor": "white", "edgecolor": "none", "pad": 2}
+    look = {"ha": "center", "va": "center", "color": FAINT, "bbox": ground} | look
+    axes.text(*place, text, transform=axes.transAxes, **look)
+
+
+def quiet_frame(axes: Axes) -> None:
+    """Left and bottom spines and a faint grid for ``axes``; no other spine."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True)
+    axes.tick_params(length=3)
+
+
+def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
+    """Logarithmic y axis of ``axes`` from ``low`` to ``high``: decades, and 2 and 5 between where they are few.
+
+    ``most_ticks`` labelled at most.
+    """
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
+    subs = (1.0, 2.0, 5.0) if log10(high / low) < FEW_DECADES else (1.0,)
+    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=most_ticks))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: decade_text(value)))
 
 
 class Painter:
@@ -115,16 +246,6 @@ class Painter:
         pen = self._to.new_gc()
         self._to.draw_image(pen, *(corner * self._dpi), shown)
         pen.restore()
-
-
-def shown_pixels(drawing: Drawing, dpi: int) -> NDArray[np.uint8]:
-    """Colours (rows from the top, columns, 4) of ``drawing`` at ``dpi`` pixels per inch, on white."""
-    size = int(drawing.width_in * dpi), int(drawing.height_in * dpi)
-    renderer: Any = RendererAgg(*size, dpi)  # type: ignore[no-untyped-call]
-    shown = np.asarray(renderer.buffer_rgba())
-    shown[:] = 255
-    Painter(renderer, dpi).paint(drawing)
-    return shown
 
 
 class Painted(Artist):
@@ -220,9 +341,14 @@ def picture_bytes(figure: Drawing | Figure, *, dpi: int, kind: PictureFormat = "
     buffer = BytesIO()
     with house_style():
         if isinstance(figure, Drawing):
+            drawing = figure
             if kind == "png":
-                return png_bytes(shown_pixels(figure, dpi), dpi)
-            drawing, figure = figure, new_figure(figure.width_in, figure.height_in)
+                renderer: Any = RendererAgg(int(drawing.width_in * dpi), int(drawing.height_in * dpi), dpi)  # type: ignore[no-untyped-call]
+                shown = np.asarray(renderer.buffer_rgba())
+                shown[:] = 255
+                Painter(renderer, dpi).paint(drawing)
+                return png_bytes(shown, dpi)
+            figure = new_figure(drawing.width_in, drawing.height_in)
             figure.add_artist(Painted(drawing))
         if kind == "png":
             figure.set_dpi(dpi)

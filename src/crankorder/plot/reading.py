@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, TypeVar
 
 from crankorder.cause import alike_speeds
 from crankorder.channel_units import unit_text
 from crankorder.errors import printable
-from crankorder.findings import Findings, FreeBand, ModeFinding, MotorLine, OpenBand, OrderFinding
+from crankorder.findings import Findings, FreeBand, LineFinding, ModeFinding, MotorLine, OpenBand, OrderFinding
 from crankorder.settings import ReportSettings
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ SAME_MODE = 1e-3
 _SAME_ORDER = 1e-4  # an order this near to one of the findings is that one
 _CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
 _LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
+_SAME_HZ = 0.5  # a line this close to a tone is that tone …
+_SAME_SHARE = 0.002  # … or this share of its frequency
 _JUDGED = ("excited", "not excited", None)
 
 B = TypeVar("B", FreeBand, OpenBand)
@@ -312,3 +315,78 @@ def listed(words: Sequence[str], *, most: int | None = None) -> str:
 def strongest_by(records: Sequence[R], key: Callable[[R], K]) -> dict[K, R]:
     """The largest of ``records`` by each ``key`` that they have; of equal ones the first."""
     return {key(record): record for record in sorted(records, key=lambda record: -record.amplitude)[::-1]}
+
+
+@dataclass(frozen=True)
+class FixedTone:
+    """A line that stays at its frequency: its record and its line in each channel that shows it."""
+
+    record: ModeFinding
+    lines: list[LineFinding] = field(default_factory=list)
+
+
+def is_fixed_tone(line: LineFinding) -> bool:
+    """True for a ``line`` of the findings at a fixed frequency that is no natural frequency."""
+    return is_number(line.frequency_hz) and line.kinds[0] not in ("mode", "undecided")
+
+
+def hertz_of_order(record: OrderFinding, findings: Findings) -> float | None:
+    """Frequency [Hz] by which an order ``record`` of the ``findings`` is called first; None where its order says more.
+
+    That of a line of the mains or of a motor's field, and of one that at the only speed of a test is no multiple of the
+    half revolution: whether it goes with the speed nobody knows. A bearing's line has its order.
+    """
+    rpm = record.speed_rpm_at_max
+    of_part = record.kinds[0] in ("bearing", "gear mesh")
+    loose = at_one_speed(findings) and record.lock == "slips" and not of_part
+    return record.order * rpm / 60.0 if is_number(rpm) and (loose or record.electric) else None
+
+
+def strongest_tone(findings: Findings, channel: str) -> LineFinding | None:
+    """Line of the strongest tone in a ``channel`` of the ``findings``, or None."""
+    lines = (line for line in findings.lines if line.channel == channel and is_number(line.amplitude))
+    return max(filter(is_fixed_tone, lines), key=lambda line: line.size, default=None)
+
+
+def fixed_tones(findings: Findings) -> list[FixedTone]:
+    """All tones of the ``findings``, lowest first, each with its lines in the channels, strongest first."""
+    tones = [FixedTone(mode) for mode in findings.modes if is_tone(mode)]
+    decided = [mode.frequency_hz for mode in findings.modes if not is_tone(mode)]
+    for line in findings.lines:
+        hz = line.frequency_hz
+        if hz is None or not is_fixed_tone(line):
+            continue
+        tone = next((tone for tone in tones if _is_at(tone.record, hz)), None)
+        if tone is None:
+            if any(abs(mode_hz - hz) < 1e-9 * mode_hz for mode_hz in decided):
+                continue  # the table of natural frequencies has it
+            # as the list of modes would have it
+            kind, ends = line.explained_by or "unexplained", line.frequency_hz_ci95
+            record = ModeFinding(
+                frequency_hz=hz, frequency_hz_ci95=ends, channels=(), evidence="", explained_by=kind, causes=line.causes
+            )
+            tone = FixedTone(record)
+            tones.append(tone)
+        tone.lines.append(line)
+    for tone in tones:
+        tone.lines.sort(key=lambda line: -line.size)
+    return sorted(tones, key=lambda tone: tone.record.frequency_hz)
+
+
+def fixed_frequencies(findings: Findings) -> list[ModeFinding]:
+    """All lines of fixed frequency in the ``findings``, lowest first: natural frequencies, undecided ones, tones.
+
+    A tone that stands in the list of lines alone is given like a mode, with its kind as ``explained_by``.
+    """
+    modes = [mode for mode in findings.modes if not is_tone(mode)]
+    tones = [
+        replace(tone.record, channels=tone.record.channels or tuple(line.channel for line in tone.lines))
+        for tone in fixed_tones(findings)
+    ]
+    return sorted([*modes, *tones], key=lambda mode: mode.frequency_hz)
+
+
+def _is_at(tone: ModeFinding, hertz: float) -> bool:
+    """Whether a line at ``hertz`` lies within the tolerance of a ``tone``."""
+    low, high = interval_of(tone, "frequency_hz") or (0.0, 0.0)
+    return abs(tone.frequency_hz - hertz) <= max(min(_SAME_HZ, _SAME_SHARE * tone.frequency_hz), high - low)

@@ -16,10 +16,27 @@ from crankorder.findings import Findings, ModeFinding
 from crankorder.plot.axes import axes_for, channel_of, dress, keys_below, painted, scale, values_of, y_label
 from crankorder.plot.campbell_figure import edge_labels, orders_of
 from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words, log_limits
-from crankorder.plot.fixed_lines import Mark, fixed_frequencies, mode_keys, mode_marks, mode_style
-from crankorder.plot.labels import Key, draw_keys, fitted, head_of_test, label_top
+from crankorder.plot.labels import (
+    Key,
+    Mark,
+    draw_keys,
+    fitted,
+    head_of_test,
+    label_top,
+    mode_keys,
+    mode_marks,
+    mode_style,
+)
 from crankorder.plot.palette import INK, LIGHT, LINES, MAINS, NORMAL, SMALL, drawable, shortened
-from crankorder.plot.reading import frequency_text, is_tone, nominal_order, order_name, order_texts, scaling_text
+from crankorder.plot.reading import (
+    fixed_frequencies,
+    frequency_text,
+    is_tone,
+    nominal_order,
+    order_name,
+    order_texts,
+    scaling_text,
+)
 from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
 

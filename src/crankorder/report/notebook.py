@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 
 import numpy as np
 import xarray as xr
@@ -31,10 +30,7 @@ class Sheet(dict[str, object]):
 
     def _repr_html_(self) -> str:
         title = self.get("engine") or f"{self.get('base', '')} → {self.get('new', '')}"
-        sentences = self.get("headline") or self.get("sentences")
-        keys = ", ".join(f"<code>{escape(key)}</code>" for key in self)
-        shown = _sheet(str(title), [str(text) for text in sentences] if isinstance(sentences, list | tuple) else [], [])
-        return f"{shown}<p><small>{keys}</small></p>"
+        return _sheet(str(title), self.get("headline") or self.get("sentences"), [], [*self])
 
 
 def tests_table(tests: Mapping[str, Findings | None]) -> xr.Dataset:
@@ -75,22 +71,10 @@ def _row_of(findings: Findings | None) -> dict[str, str | float]:
     }
 
 
-def _sheet(title: str, sentences: Sequence[str], tables: Sequence[tuple[bool, Table]]) -> str:
-    """HTML of a ``title``, its ``sentences`` and ``tables``, each with whether it stands open."""
-    shown = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
-    folded = "".join(
-        f"<details{' open' if is_open else ''}><summary>{escape(table['title'])} ({len(table['rows'])})</summary>"
-        f"{_table(table)}</details>"
-        for is_open, table in tables
-    )
-    return f"<div><strong>{escape(title)}</strong><ul>{shown}</ul>{folded}</div>"
+def _sheet(title: str, sentences: object, tables: Sequence[tuple[bool, Table]], keys: Sequence[str] = ()) -> str:
+    """HTML of a ``title``, ``sentences``, ``tables``, each with whether it stands open, and the ``keys`` of more."""
+    from crankorder.report.page import TEMPLATES  # loads jinja, which nothing needs but a notebook that shows results
 
-
-def _table(table: Table) -> str:
-    if not table["rows"]:
-        return f"<p>{escape(table['empty'])}</p>"
-    head = "".join(f"<th>{escape(column['title'])}</th>" for column in table["columns"])
-    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in table["rows"])
-    note = f"<p>{escape(table['note'])}</p>" if table["note"] else ""
-    scroll = "max-height:24em;overflow:auto"
-    return f'{note}<div style="{scroll}"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    stated = [str(text) for text in sentences] if isinstance(sentences, list | tuple) else []
+    page = TEMPLATES.get_template("notebook.html")
+    return page.render(title=title, sentences=stated, tables=tables, keys=keys)

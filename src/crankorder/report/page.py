@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import CrossingFinding, Findings, ModeFinding
-from crankorder.plot.cells import level_limits, speed_cells
-from crankorder.plot.fixed_lines import fixed_frequencies, mode_style, mode_text
+from crankorder.plot.campbell_figure import level_limits, speed_cells
+from crankorder.plot.labels import mode_style, mode_text
 from crankorder.plot.orders_figure import shown_tracks
 from crankorder.plot.palette import level_colours
 from crankorder.plot.reading import (
     channel_level,
     estimate_text,
+    fixed_frequencies,
     frequency_text,
     interval_of,
     is_number,
@@ -186,19 +187,19 @@ def rendered_page(template: str, *, has_script: bool = False, **values: object) 
     scripts = f"; script-src {_digest(script)}" if script else ""
     policy = f"default-src 'none'; img-src {pictures}; style-src {_digest(style)}{scripts}"
     policy += "; base-uri 'none'; form-action 'none'"
-    page = _templates().get_template(template)
+    page = TEMPLATES.get_template(template)
     return page.render(policy=policy, style=Markup(style), script=Markup(script), **values)
-
-
-@cache
-def _templates() -> Environment:
-    loader = FunctionLoader(_own_file)
-    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
 
 
 @cache
 def _own_file(name: str) -> str:
     return files("crankorder.report").joinpath(name).read_text(encoding="utf-8")
+
+
+TEMPLATES = Environment(
+    loader=FunctionLoader(_own_file), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+)
+"""Templates of this room, which escape every text."""
 
 
 def _digest(text: str) -> str:
@@ -229,7 +230,10 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
     first = next((groups[name] for name in (*_TITLES, "order_tracks") if name in groups), None)
     if first is None:
         return ""
-    channels = _channels(first, settings)
+    names, units = (first[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit"))
+    names = [named(name, limit=settings.max_name_characters) for name in names]
+    levels = (channel_level(first, number, settings=settings) for number in range(len(names)))
+    channels = [LiveChannel(n, unit_text(unit), *level) for n, unit, level in zip(names, units, levels, strict=True)]
     maps = [_map(name, groups[name], channels, settings) for name in _TITLES if name in groups]
     tracks = _tracks(groups.get("order_tracks"), len(channels), limit=settings.max_labelled_orders)
     if not any(maps) and tracks is None:
@@ -245,15 +249,6 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
     }  # fmt: skip
     text = json.dumps(document, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _channels(dataset: xr.Dataset, settings: ReportSettings) -> list[LiveChannel]:
-    channels = []
-    names, units = (dataset[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit"))
-    for number, (name, unit) in enumerate(zip(names, units, strict=True)):
-        level = channel_level(dataset, number, settings=settings)
-        channels.append(LiveChannel(named(name, limit=settings.max_name_characters), unit_text(unit), *level))
-    return channels
 
 
 def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: ReportSettings) -> Record | None:
@@ -331,24 +326,20 @@ def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> Record |
         return None
     amplitude = np.where(shown.read, shown.amplitude, -np.inf)[:kept]
     largest = np.nan_to_num(np.where(np.isfinite(amplitude), amplitude, 0.0)).max(axis=(1, 2))
-
-    def packed(values: Floats) -> str:
-        with np.errstate(over="ignore"):
-            return _base64(values[:kept].astype("<f4").tobytes())
-
     orders = [{"order": float(order), "text": text} for order, text in zip(shown.orders, shown.texts, strict=True)]
+    values = {"amplitude": amplitude, "low": shown.low, "high": shown.high, "phase": shown.phase}
+    with np.errstate(over="ignore"):
+        packed = {key: _base64(part[:kept].astype("<f4").tobytes()) for key, part in values.items()}
     return {
         "kind": "tracks", "title": "Orders against speed", "speed": [_short(rpm) for rpm in shown.speed],
-        "orders": orders, "largest": largest.tolist(), "amplitude": packed(amplitude),
-        "low": packed(shown.low), "high": packed(shown.high), "phase": packed(shown.phase),
+        "orders": orders, "largest": largest.tolist(), **packed,
     }  # fmt: skip
 
 
 def _statements(findings: Findings, names: list[str], settings: ReportSettings) -> Record:
     """Findings as records for the script of the page; channels by their index in ``names``."""
-    limit = settings.max_name_characters
+    limit, modes = settings.max_name_characters, fixed_frequencies(findings)
     number = {name: place for place, name in enumerate(names)}
-    modes = fixed_frequencies(findings)
     ranges = [ends for speed in findings.speeds_to_avoid or () if (ends := known(speed.rpm_range)) is not None]
     bands = [(band.low_rpm, band.high_rpm) for band in findings.free_bands]
     statements = {

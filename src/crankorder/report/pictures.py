@@ -13,6 +13,7 @@ import xarray as xr
 from crankorder.findings import Findings
 from crankorder.plot.campbell_figure import campbell_figure
 from crankorder.plot.drawing import Drawing, Words
+from crankorder.plot.envelope_figure import envelope_figure
 from crankorder.plot.orders_figure import orders_figure
 from crankorder.plot.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
 from crankorder.plot.speed_figure import shown_recordings, speed_figure
@@ -24,6 +25,9 @@ _ONE_ROW = (
     "Spectrum by frequency and order, {}: the test ran at one speed, and a Campbell diagram needs several",
 )
 """What stands in the place of a Campbell diagram, and why, by the number of speeds that are known."""
+
+_SHAPES = "Operating shapes: amplitude and phase over the channels"
+_ENVELOPE = "Envelope spectra: strikes in bearings, order by order"
 
 
 @dataclass(frozen=True)
@@ -79,20 +83,15 @@ def pictures_of(
     if "order_map" in groups:
         caption = "Order spectra: what shakes, order by order"
         plan("order_spectra", caption, order_spectra_figure, groups["order_map"])
-    cycles, shapes = groups.get("cycle_average"), groups.get("operating_shapes")
-    if cycles is not None and cycles.sizes["speed"]:
-        from crankorder.report.cycle_figure import cycle_figure
+    from crankorder.report.cycle_figure import cycle_figure, shapes_figure
 
-        plan("cycle", "Mean engine cycle and its spread", cycle_figure, cycles)
-    if shapes is not None and shapes.sizes["order"] and shapes.sizes["speed"]:
-        from crankorder.report.shapes_figure import shapes_figure
-
-        plan("shapes", "Operating shapes: amplitude and phase over the channels", shapes_figure, shapes)
-    envelope = groups.get("envelope_map")
-    if envelope is not None and envelope.sizes["order"] and envelope.sizes["speed"]:
-        from crankorder.plot.envelope_figure import envelope_figure
-
-        plan("envelope", "Envelope spectra: strikes in bearings, order by order", envelope_figure, envelope)
+    for group, name, caption, drawn, dims in (
+        ("cycle_average", "cycle", "Mean engine cycle and its spread", cycle_figure, ("speed",)),
+        ("operating_shapes", "shapes", _SHAPES, shapes_figure, ("order", "speed")),
+        ("envelope_map", "envelope", _ENVELOPE, envelope_figure, ("order", "speed")),
+    ):
+        if group in groups and all(groups[group].sizes[dim] for dim in dims):
+            plan(name, caption, drawn, groups[group])
     if campbell is not None and campbell.sizes["speed"]:
         caption = f"Spectra: {'what stays and what moves with speed' if speeds > 1 else 'power density and amplitude'}"
         plan("spectra", caption, spectra_figure, campbell)

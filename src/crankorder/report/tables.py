@@ -8,11 +8,12 @@ from typing import TypedDict, cast
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import AvoidedSpeed, EnergyShares, Findings, FreeBand, ModeFinding, OpenBand, Quality
-from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order
 from crankorder.plot.reading import (
     Numbered,
     estimate_text,
+    fixed_tones,
     frequency_text,
+    hertz_of_order,
     is_number,
     is_tone,
     is_undecided,
@@ -30,9 +31,8 @@ from crankorder.plot.reading import (
     with_interval,
 )
 from crankorder.records import Record
-from crankorder.report.sentences.of_levels import band_of
 from crankorder.report.sentences.of_lines import envelope_band, no_order_sentence
-from crankorder.report.sentences.of_speeds import all_judged
+from crankorder.report.sentences.of_speeds import all_judged, band_of
 from crankorder.report.sentences.story import energy_sentence, source_text, stated_quantities, undecided_quantities
 
 NOTHING_RISES = "No order was seen to rise at a natural frequency inside the tested speeds."

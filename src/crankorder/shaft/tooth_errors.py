@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 
+from crankorder.errors import printable
+from crankorder.findings import SpeedSwing as SpeedSwingFinding
 from crankorder.quantities import Attribute, Bools, Complexes, Floats
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.line_pattern import LinePattern, even_line_times, first_order, line_pattern
@@ -275,6 +277,36 @@ def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
     mean = float(means.mean())
     size, steady = np.sqrt((np.abs(lines) ** 2).mean(axis=0)), np.abs(lines.mean(axis=0))
     return SpeedSwing(mean, len(means), orders, size, steady, doubt_rpm=_of_teeth(shaft, orders) * mean)
+
+
+def speed_swings(
+    shafts: Iterable[xr.Dataset], *, of_encoder: Collection[float], encoder_deg: Mapping[float, float]
+) -> tuple[SpeedSwingFinding, ...]:
+    """Swing of the speed of each of ``shafts`` within its cycle, by order, the largest first; only what is certain.
+
+    At the orders ``of_encoder`` the encoder itself swings: that is no motion of the shaft. An encoder could show those
+    that are no larger than ``encoder_deg`` at its order.
+    """
+    records = []
+    for shaft in shafts:
+        swing = speed_swing(shaft)
+        if swing is None:
+            continue
+        sure = swing.told & ~np.isin(swing.orders, list(of_encoder))
+        for place in sorted(np.flatnonzero(sure).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
+            order, amplitude_rpm = float(swing.orders[place]), float(swing.amplitude_rpm[place])
+            off_deg = np.degrees(amplitude_rpm / swing.speed_rpm / order)
+            records.append(
+                SpeedSwingFinding(
+                    recording=printable(shaft.attrs["recording"]),
+                    speed_rpm=swing.speed_rpm,
+                    order=order,
+                    amplitude_rpm=amplitude_rpm,
+                    may_be_encoder=bool(off_deg <= encoder_deg.get(order, -np.inf)),
+                    steady_rpm=float(swing.steady_rpm[place]),
+                )
+            )
+    return tuple(records)
 
 
 def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, Complexes] | None:

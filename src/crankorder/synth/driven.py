@@ -53,9 +53,8 @@ def interpolation_error(stencil: int, phase_per_sample_rad: float) -> float:
     for complex f by the formula of Hermite and Genocchi (Davis, Interpolation and Approximation, 1963, section 3.1);
     Π is largest in the middle, ((s − 1)!!/2^{s/2})².
     """
-    half = stencil // 2
-    central = math.prod((2 * k - 1) / (2 * k) for k in range(1, half + 1))
-    return float(central * (phase_per_sample_rad / 2) ** stencil)
+    central: float = math.comb(stencil, stencil // 2) / 2**stencil
+    return central * (phase_per_sample_rad / 2) ** stencil
 
 
 def integration_for(highest_force_hz: float, rate_hz: float, tolerance: float) -> Integration:
@@ -128,18 +127,19 @@ def advance(
     even_taps = np.pad(taps, ((0, 0), (0, taps.shape[1] % 2)))  # the loop takes them two by two
     force, inputs, direct = (np.ascontiguousarray(part, np.float64) for part in (force, poles.input, poles.direct))
     output = np.ascontiguousarray(poles.output, dtype=np.complex128)
-    fill_response(force, inputs, output, direct, growth, even_taps, margin, substeps, after, signal)
+    fill_response(force, (inputs, output, direct), growth, even_taps, margin, substeps, after, signal)
     return signal, after
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def fill_response(force, inputs, output, direct, growth, taps, margin, substeps, state, signal):  # type: ignore[no-untyped-def]
+def fill_response(force, poles, growth, taps, margin, substeps, state, signal):  # type: ignore[no-untyped-def]
     """Response to ``force`` added to ``signal`` (channel, n), ``state`` (pole,) moved on by n output samples.
 
-    ``inputs`` (pole, axis), ``output`` (channel, pole), ``direct`` (channel, axis): of the poles. ``growth`` (pole,)
-    and ``taps`` (pole, tap): of ``step_weights``, an even number of taps. ``margin`` and ``substeps``: of an
+    ``poles``: their input (pole, axis), output (channel, pole) and direct (channel, axis). ``growth`` (pole,) and
+    ``taps`` (pole, tap): of ``step_weights``, an even number of taps. ``margin`` and ``substeps``: of an
     ``Integration``.
     """
+    inputs, output, direct = poles
     n_channels, n_out = signal.shape
     behind = taps.shape[1] // substeps + 1
     acting = np.zeros((substeps, BLOCK + behind))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -180,13 +180,7 @@ def with_encoder_faults(
         if fault.recordings and recording not in fault.recordings:
             continue
         chance = seed_stream(seed, "encoder_faults", str(number), stream)
-        match fault:
-            case LostPulses():
-                track, record = _lost_pulses(track, fault, chance)
-            case DamagedLine():
-                track, record = _damaged_line(track, fault)
-            case DoublePulses():
-                track, record = _double_pulses(track, fault, chance)
+        track, record = _FAULTS[fault.kind](track, fault, chance)
         records += [{"recording": recording, **record}] if record["count"] else []
     return track, records
 
@@ -213,19 +207,14 @@ def _lost_pulses(track: Track, fault: LostPulses, stream: np.random.Generator) -
     return replace(track, lines=track.lines.where(keep)), record
 
 
-def _damaged_line(track: Track, fault: DamagedLine) -> tuple[Track, dict[str, Json]]:
+def _damaged_line(track: Track, fault: DamagedLine, _: np.random.Generator) -> tuple[Track, dict[str, Json]]:
     lines, wheel = track.lines, track.wheel
     damaged = sorted({line for line in fault.lines if line < wheel.rise.size})
     lost = np.isin(lines.number % wheel.rise.size, damaged) & (lines.number != FALSE_PULSE)
     inside = lost & (lines.rise_s >= 0) & (lines.rise_s < track.duration_s)
     angles = (wheel.nominal[damaged] * 360).tolist()
-    record = _record(
-        "encoder_damaged_line",
-        f"pulse lost at {', '.join(f'{angle:.2f}' for angle in angles)} degrees after the index",
-        int(inside.sum()),
-        lines=damaged,
-        angles_deg=angles,
-    )
+    detail = f"pulse lost at {', '.join(f'{angle:.2f}' for angle in angles)} degrees after the index"
+    record = _record("encoder_damaged_line", detail, int(inside.sum()), lines=damaged, angles_deg=angles)
     return replace(track, lines=lines.where(~lost)), record
 
 
@@ -248,6 +237,11 @@ def _double_pulses(track: Track, fault: DoublePulses, stream: np.random.Generato
     fall_s[host[within]] = time_s[within] - width[within]
     record = _record("encoder_double_pulse", f"{time_s.size} false pulses", int(time_s.size), times_s=time_s.tolist())
     return replace(track, lines=replace(lines, fall_s=fall_s).joined(false)), record
+
+
+_FAULTS: Mapping[str, Callable[..., tuple[Track, dict[str, Json]]]] = {
+    "lost_pulses": _lost_pulses, "damaged_line": _damaged_line, "double_pulses": _double_pulses,
+}  # fmt: skip
 
 
 def _room_in_level(track: Track, time_s: Floats, host: NDArray[np.intp], delay_s: float) -> tuple[Floats, Bools]:

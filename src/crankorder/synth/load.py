@@ -17,13 +17,11 @@ from crankorder.engine.gas import gas_torque_by_order
 from crankorder.engine.machine_parts import bearing_orders
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import shipped, toml_table, validation_fault
-from crankorder.synth.analogue import analogue_filter
-from crankorder.synth.crank import crank_motion, other_motion
 from crankorder.synth.driven import MEMORY
-from crankorder.synth.lines import ringing_s
+from crankorder.synth.lines import crank_motion, other_motion, ringing_s
 from crankorder.synth.order_forces import ENDLESS
 from crankorder.synth.parts import INDEX, TRACE, CrankAngleSampling, TimeSampling
-from crankorder.synth.poles import poles_of
+from crankorder.synth.poles import analogue_filter, poles_of
 from crankorder.synth.scene import Scene
 from crankorder.synth.signal_faults import impossible_faults
 
@@ -67,11 +65,13 @@ def _place_in_file(place: str, kept: dict[str, list[int]]) -> str:
 
 
 def _names(scene: Scene) -> Iterator[Fault]:
-    channels = scene.channel_names
-    for what, values in (("name", channels), ("source", [channel.source for channel in scene.channels])):
-        for value, times in Counter(values).items():
-            if times > 1:
-                yield f"two channels have the same {what}", "channels", value, "each once"
+    channels, shafts = scene.channel_names, [shaft.name for shaft in scene.other_shafts]
+    for whose, place, values in (
+        ("two channels have the same name", "channels", channels),
+        ("two channels have the same source", "channels", [channel.source for channel in scene.channels]),
+        ("two shafts have the same name", "other_shafts", shafts),
+    ):
+        yield from ((whose, place, value, "each once") for value, times in Counter(values).items() if times > 1)
     for channel in scene.channels:
         if channel.source in (TRACE, INDEX):
             yield "the encoder's dataset cannot be a channel's", "channels", channel.source, "any other name"
@@ -79,10 +79,6 @@ def _names(scene: Scene) -> Iterator[Fault]:
         for name in names:
             if name not in channels:
                 yield "no such channel", place, name, ", ".join(channels)
-    shafts = [shaft.name for shaft in scene.other_shafts]
-    for value, times in Counter(shafts).items():
-        if times > 1:
-            yield "two shafts have the same name", "other_shafts", value, "each once"
     for k, injected in enumerate(scene.injected_orders):
         if injected.shaft is not None and injected.shaft not in shafts:
             yield "no such shaft", f"injected_orders.{k}.shaft", injected.shaft, ", ".join(shafts) or "none"

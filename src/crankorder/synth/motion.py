@@ -34,18 +34,6 @@ CLOSE_REV = 1e-9
 
 
 @njit(nogil=True, error_model="numpy")
-def _piece_at(time_s, corner_s):  # type: ignore[no-untyped-def]
-    low, high = 0, corner_s.size
-    while low < high:
-        middle = (low + high) // 2
-        if corner_s[middle] <= time_s:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@njit(nogil=True, error_model="numpy")
 def _expand(centre_s, wobbles, terms):  # type: ignore[no-untyped-def]
     """Power series of the wobbles' angle about ``centre_s``, counted from time 0, into ``terms``."""
     for power in range(terms.size):
@@ -128,12 +116,10 @@ def _behind(mean, share, behind, high, lag, step):  # type: ignore[no-untyped-de
 
 
 @njit(nogil=True, error_model="numpy")
-def _follow(time_s, start, stop, jerk, lag, step, reference, slowest, out):  # type: ignore[no-untyped-def]
+def _follow(time_s, start, stop, jerk, numbers, out):  # type: ignore[no-untyped-def]
     """Turn the mean motion in ``out`` into that of the crank; returns the least of what must stay above zero."""
-    widest = gas_widest = 0.0
-    for k in range(lag.shape[0]):
-        widest += math.hypot(lag[k, 1], lag[k, 2])
-        gas_widest += math.hypot(lag[k, 3], lag[k, 4])
+    _, _, _, lag, step, reference, slowest = numbers
+    widest, gas_widest = np.hypot(lag[:, 1], lag[:, 2]).sum(), np.hypot(lag[:, 3], lag[:, 4]).sum()
     least = 1.0
     behind = behind_speed = behind_acceleration = 0.0
     for i in range(start, stop):
@@ -165,24 +151,21 @@ def _follow(time_s, start, stop, jerk, lag, step, reference, slowest, out):  # t
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_motion(  # type: ignore[no-untyped-def]
-    time_s, piece, corner_s, pieces, wobbles, lag, step, reference, slowest, jerk, terms, out
-):
+def fill_motion(time_s, piece, numbers, jerk, terms, out):  # type: ignore[no-untyped-def]
     """Angle (rev), speed (rpm) and acceleration (rpm/s) of the crank, written into ``out``, float64 (3, n).
 
     Returns the least over all times of the rise of mean with crank angle and of crank over mean speed: where it is not
     above zero the shaft stops within the cycle.
 
     ``time_s``: float64 (n,), quickest where neighbours are close. ``piece``: whose formula, or -1 for each its own.
-    ``corner_s``: ascending (c,). ``pieces``: (c + 1, 4) of time, angle, speed and acceleration there. ``wobbles``:
-    (w, 3) of frequency (Hz), amplitude (rev/s) and phase (rev). ``lag``: (k, 5) of order, inertia and gas part (rev,
-    real and imaginary). ``step``: what the orders are multiples 1, 2, … of, 0 for any. ``reference``: mean speed
-    (rev/s) of the gas part, 0 without gas. ``slowest``: mean speed (rev/s) at which the gas stops the shaft. ``jerk``:
-    room for (``BLOCK``,) numbers. ``terms``: room for (``TERMS``,).
+    ``numbers``: the seven that follow. corner_s: ascending (c,). pieces: (c + 1, 4) of time, angle, speed and
+    acceleration there. wobbles: (w, 3) of frequency (Hz), amplitude (rev/s) and phase (rev). lag: (k, 5) of order,
+    inertia and gas part (rev, real and imaginary). step: what the orders are multiples 1, 2, … of, 0 for any.
+    reference: mean speed (rev/s) of the gas part, 0 without gas. slowest: mean speed (rev/s) at which the gas stops the
+    shaft. ``jerk``: room for (``BLOCK``,) numbers. ``terms``: room for (``TERMS``,). ``out``: float64 (3, n).
     """
-    top_hz, least, start = 0.0, 1.0, 0
-    for row in range(wobbles.shape[0]):
-        top_hz = wobbles[row, 0] if wobbles[row, 0] > top_hz else top_hz
+    corner_s, pieces, wobbles, lag, _, _, _ = numbers
+    top_hz, least, start = wobbles[:, 0].max() if wobbles.shape[0] else 0.0, 1.0, 0
     while start < time_s.size:
         low = high = time_s[start]
         stop = start + 1
@@ -193,10 +176,10 @@ def fill_motion(  # type: ignore[no-untyped-def]
                 break
             low, high = new_low, new_high
             stop += 1
-        first = _piece_at(low, corner_s) if piece < 0 else piece
-        last = _piece_at(high, corner_s) if piece < 0 else piece
+        first = np.searchsorted(corner_s, low, side="right") if piece < 0 else piece
+        last = np.searchsorted(corner_s, high, side="right") if piece < 0 else piece
         for i in range(start, stop):
-            k = first if first == last else _piece_at(time_s[i], corner_s)
+            k = first if first == last else np.searchsorted(corner_s, time_s[i], side="right")
             after, rate = time_s[i] - pieces[k, 0], pieces[k, 3]
             out[0, i] = pieces[k, 1] + after * (pieces[k, 2] + 0.5 * rate * after)
             out[1, i] = pieces[k, 2] + rate * after
@@ -212,7 +195,7 @@ def fill_motion(  # type: ignore[no-untyped-def]
                 out[2, i] += acceleration
                 jerk[i - start] = third
         if lag.shape[0]:
-            here = _follow(time_s, start, stop, jerk, lag, step, reference, slowest, out)
+            here = _follow(time_s, start, stop, jerk, numbers, out)
             least = here if here < least else least
         for i in range(start, stop):
             out[1, i] *= 60.0
@@ -237,16 +220,15 @@ def _passed(time_s, piece, terms, centre_s, reference, gas):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_times(  # type: ignore[no-untyped-def]
-    angle_rev, knot_s, knot_rev, forwards, corner_s, pieces, wobbles, lag, step, reference, terms, out
-):
+def fill_times(angle_rev, knot_s, knot_rev, forwards, numbers, terms, out):  # type: ignore[no-untyped-def]
     """Times at which the crank passes angles in a stretch in which it turns one way, written into ``out``.
 
     ``angle_rev``: float64 (n,), in the sequence in which they are passed. ``knot_s``: times (m,) that part the stretch
     at its corners, no further apart than a power series reaches. ``knot_rev``: crank angles there. ``forwards``: 1 or
-    -1. ``corner_s``, ``pieces``, ``wobbles``, ``lag``, ``step``, ``reference``: as of :func:`fill_motion`. ``terms``:
+    -1. ``numbers``: as of :func:`fill_motion`. ``terms``:
     zeros (``TERMS``,). ``out``: float64 (n,).
     """
+    corner_s, pieces, wobbles, lag, step, reference, _ = numbers
     knot, centre = -1, 0.0
     low_speed = high_speed = 0.0
     piece = pieces[0]
@@ -259,7 +241,7 @@ def fill_times(  # type: ignore[no-untyped-def]
         low, high = knot_s[at], knot_s[at + 1]
         if at != knot:
             knot, centre = at, 0.5 * (low + high)
-            piece = pieces[_piece_at(centre, corner_s)]
+            piece = pieces[np.searchsorted(corner_s, centre, side="right")]
             if wobbles.shape[0]:
                 _expand(centre, wobbles, terms)
             low_speed = _passed(low, piece, terms, centre, 0.0, 0.0)[1]
@@ -361,7 +343,7 @@ class Motion:
             raise RequestError("no such piece of the motion", found=piece, allowed=f"0 … {len(self.corner_s)}")
         out = np.empty((3, times.size))
         least: float = fill_motion(
-            times, -1 if piece is None else piece, *self._numbers, np.empty(BLOCK), np.empty(TERMS), out
+            times, -1 if piece is None else piece, self._numbers, np.empty(BLOCK), np.empty(TERMS), out
         )
         if not least > 0:
             slowest_rpm = np.abs(self._mean(times, -1 if piece is None else piece)[1]).min()
@@ -409,7 +391,7 @@ class Motion:
         sorted_rev = np.clip(angles if sequence is None else angles[sequence], passed.min(), passed.max())
         times = np.empty(angles.size)
         knot_rev = way * np.maximum.accumulate(way * passed)
-        fill_times(sorted_rev, knots, knot_rev, way, *self._numbers[:-1], np.zeros(TERMS), times)
+        fill_times(sorted_rev, knots, knot_rev, way, self._numbers, np.zeros(TERMS), times)
         if sequence is not None:
             times[sequence] = times.copy()
         return times
@@ -448,7 +430,7 @@ class Motion:
         """Angle, speed and acceleration without the lag, shape (3, n)."""
         out = np.empty((3, time_s.size))
         no_lag = np.zeros((0, 5)), 0.0, 0.0, 0.0
-        fill_motion(time_s, piece, *self._numbers[:3], *no_lag, np.empty(BLOCK), np.empty(TERMS), out)
+        fill_motion(time_s, piece, (*self._numbers[:3], *no_lag), np.empty(BLOCK), np.empty(TERMS), out)
         return out
 
     def _mean_rpm(self, time_s: float) -> float:

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.quantities import Complexes, Floats
-from crankorder.synth.analogue import AnalogueFilter
 from crankorder.synth.parts import AXES, Axis, ColouredNoise
-from crankorder.synth.poles import Structure, accelerance
+from crankorder.synth.poles import AnalogueFilter, Structure, accelerance
 from crankorder.synth.scene import Run, Scene
 
 MOST_FOLDS = 64

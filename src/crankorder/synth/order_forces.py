@@ -156,7 +156,7 @@ def force_at(
         row[:] = factor.at(speed_rpm, acceleration_rpm_per_s, gain)
         live[number] = factor.of != "acceleration" or row.any()
     if angle_rev.size and phasors[1].size:
-        fill_forces(np.ascontiguousarray(angle_rev, dtype=np.float64), *phasors, rows, live, force)
+        fill_forces(np.ascontiguousarray(angle_rev, dtype=np.float64), phasors, rows, live, force)
     return force
 
 
@@ -173,12 +173,13 @@ def _factors(lines: ForceLines, number: int) -> list[tuple[_Factor, complex]]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def fill_forces(angle_rev, unit, jump, order, first_term, weight, goes_to, rows, live, force):  # type: ignore[no-untyped-def]
+def fill_forces(angle_rev, phasors, rows, live, force):  # type: ignore[no-untyped-def]
     """Sums of phasors added to ``force`` (axis, n), block by block.
 
     ``angle_rev`` (n,), ``rows`` (factor, n) and ``live`` (factor,): the motion and what it makes of the factors; which
-    of them are not all 0. ``unit``, ``jump``, ``order``, ``first_term``, ``weight``, ``goes_to``: see ``Phasors``.
+    of them are not all 0. ``phasors``: see ``Phasors``.
     """
+    unit, jump, order, first_term, weight, goes_to = phasors
     n_axes = force.shape[0]
     base_re, base_im = np.zeros(BLOCK), np.zeros(BLOCK)
     re, im = np.zeros(BLOCK), np.zeros(BLOCK)

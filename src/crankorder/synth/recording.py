@@ -10,15 +10,17 @@ import numpy as np
 from crankorder.engine.machine_parts import bearing_orders
 from crankorder.quantities import Complexes, Floats
 from crankorder.records import Json
-from crankorder.synth.analogue import Recorded, recorded
-from crankorder.synth.crank import begun_earlier, crank_motion, gain_of_cycle, other_motion
 from crankorder.synth.driven import driven_signal
 from crankorder.synth.encoder import EncoderSignals, encoder_signals
 from crankorder.synth.lines import (
+    begun_earlier,
     crank_forces,
+    crank_motion,
     driven_lines,
     fixed_lines,
+    gain_of_cycle,
     modulation,
+    other_motion,
     ringing,
     ringing_s,
     shaft_forces,
@@ -30,7 +32,7 @@ from crankorder.synth.motion import Motion
 from crankorder.synth.noise import Floor, noise_signal, seed_stream
 from crankorder.synth.order_forces import ForceLines, lines_in_angle
 from crankorder.synth.parts import TimeSampling
-from crankorder.synth.poles import poles_of, tones
+from crankorder.synth.poles import Recorded, poles_of, recorded, tones
 from crankorder.synth.scene import Run, Scene
 from crankorder.synth.signal_faults import converter_records, with_signal_faults
 

@@ -13,8 +13,7 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.slider_crank import orders_for
 from crankorder.quantities import Floats
 from crankorder.synth import parts
-from crankorder.synth.analogue import AnalogueFilter, analogue_filter, true_rate_hz
-from crankorder.synth.poles import Structure
+from crankorder.synth.poles import AnalogueFilter, Structure, analogue_filter, true_rate_hz
 
 SWEEP = "sweep"
 """Name of the recording of a speed profile."""

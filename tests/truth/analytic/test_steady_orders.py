@@ -5,7 +5,7 @@ import pytest
 
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
-from made.order_spectra import SAMPLES_PER_REV, angle_frames, coloured, filtered, lines
+from made.order_spectra import SAMPLES_PER_REV, angle_frames, coloured, lines, tracked
 
 SETTINGS = load_settings().orders
 SHORT, LONG = 500, 2500
@@ -13,51 +13,41 @@ NAMES = ("amplitude", "amplitude_low", "amplitude_high", "phase", "phase_ci95")
 SIZES = pytest.mark.parametrize("draws", [SHORT, pytest.param(LONG, marks=pytest.mark.accuracy)])
 
 
-def tracks_of(given, *, revs, colour, draws, bandwidth):
+def tracks_of(given, *, revs, colour, draws):
     """Variables (draws, orders) of the tracks of lines ``given`` in noise, by name."""
     tracks = []
     for batch in range(draws // SHORT):
         noise = coloured(np.random.default_rng([revs, batch]), SHORT, revs=revs, colour=colour)
         orders = tuple(order for order, _, _ in given)
-        tracks.append(filtered(noise + lines(noise.shape[1], given), orders, bandwidth=bandwidth))
+        tracks.append(tracked(noise + lines(noise.shape[1], given), orders))
     return {name: np.concatenate([part[name].values for part in tracks]) for name in NAMES}
 
 
-def share_allowed(hits: int) -> float:
+def share_allowed(hits):
     """Four standard deviations of a share of 95 % among so many."""
     return 4.0 * float(np.sqrt(0.95 * 0.05 / hits))
 
 
 @SIZES
 @pytest.mark.parametrize(
-    ("orders", "revs", "colour", "bandwidth"),
+    ("orders", "revs", "colour"),
     [
-        ((5.0,), 16, "white", 0.05),
-        ((5.0, 5.5, 6.0), 16, "white", 0.05),
-        ((5.5, 5.48), 150, "white", 0.01),
-        ((5.0, 5.5), 64, "pink", 0.05),
-        ((5.0, 5.5), 296, "resonance", 0.05),
+        ((5.0,), 16, "white"),
+        ((5.0, 5.5, 6.0), 16, "white"),
+        ((5.5, 5.48), 150, "white"),
+        ((5.0, 5.5), 64, "pink"),
+        ((5.0, 5.5), 296, "resonance"),
     ],
 )
-def test_the_truth_lies_in_95_of_100_intervals_of_vold_kalman_or_more(orders, revs, colour, bandwidth, draws):
+def test_the_truth_lies_in_95_of_100_intervals_or_more(orders, revs, colour, draws):
     given = [(order, 3.0 + 2.0 * k, 0.3 + 0.9 * k) for k, order in enumerate(orders)]
-    tracks = tracks_of(given, revs=revs, colour=colour, draws=draws, bandwidth=bandwidth)
+    tracks = tracks_of(given, revs=revs, colour=colour, draws=draws)
     _, size, phase = np.array(given).T
     within = (tracks["amplitude_low"] <= size) & (size <= tracks["amplitude_high"])
     off_deg = (tracks["phase"] - np.degrees(phase) + 180.0) % 360.0 - 180.0
-    for hits in (*within.T, *(np.abs(off_deg) <= tracks["phase_ci95"]).T):
+    on_bin = np.isfinite(off_deg).all(axis=0)  # between bins there is no phase
+    for hits in (*within.T, *(np.abs(off_deg) <= tracks["phase_ci95"])[:, on_bin].T):
         assert hits.mean() > 0.95 - share_allowed(hits.size)
-
-
-@SIZES
-@pytest.mark.parametrize("revs", [16, 24, 120])
-def test_vold_kalman_stays_within_a_tenth_of_the_cramer_rao_bound(revs, draws):
-    given = [(5.0, 3.0, 0.7), (5.5, 1.0, 2.0)]
-    size = tracks_of(given, revs=revs, colour="white", draws=draws, bandwidth=0.05)["amplitude"]
-    bound = np.sqrt(2.0 / (revs * SAMPLES_PER_REV))
-    rms = np.sqrt(np.mean(np.square(size - [3.0, 1.0]), axis=0))
-    # a root mean square of n numbers is known to 1/sqrt(2 n): four of these
-    assert (rms < 1.1 * bound * (1.0 + 4.0 / np.sqrt(2.0 * draws))).all()
 
 
 @SIZES

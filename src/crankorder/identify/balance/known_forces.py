@@ -199,22 +199,12 @@ def _problem(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, n_m
 
 
 def _terms(problem: _Problem, natural: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
-    """What a force of ω² makes through the path in each row (row, term), and slopes by the poles (row, mode, 2).
-
-    In a sweep that is what its response, which lags behind, makes in the filter that followed it.
-    """
+    """What a force of ω² makes through the path in each row (row, term), and slopes by the poles (row, mode, 2)."""
     measured, top_hz = problem.measured, problem.top_hz
     grown = (measured.rpm_of_row * np.pi / 30)[:, None] ** 2
     terms = grown * _steady_terms(measured.frequency_hz, natural, damping, top_hz)
     resonant: Complexes = np.stack(resonance_slopes(measured.frequency_hz, natural, damping), axis=2)
     slopes: Complexes = np.multiply(grown[:, :, None], resonant, dtype=np.complex128)
-    for first, passage in measured.passages:
-        rows = range(first, first + len(passage.place))
-        pushed: Complexes = ((passage.speed_rpm * np.pi / 30) ** 2).astype(np.complex128)
-        bent = pushed * (passage.frequency_hz / top_hz) ** 2
-        terms[np.ix_(rows, [0, -1])] = passage.smoothed(np.stack([pushed, bent], axis=1))
-        for mode, (f, zeta) in enumerate(zip(natural.tolist(), damping.tolist(), strict=True)):
-            terms[rows, 1 + mode], slopes[rows, mode, 0], slopes[rows, mode, 1] = passage.response(pushed, f, zeta)
     return terms, slopes / np.stack([natural, damping], axis=1)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -27,6 +27,10 @@ NO_ACROSS = (
 NO_ANGLE = "the unbalance may be none: its angle means nothing"
 
 
+Place = tuple[int, str]
+"""Order and axis of a force."""
+
+
 @dataclass(frozen=True, eq=False)
 class Split:
     """Complex masses (kg at the crank radius) behind orders 1 and 2, with what they multiply.
@@ -38,14 +42,22 @@ class Split:
     mass_kg: Complexes
     covariance: Floats
     freedom: float
-    sought: tuple[tuple[int, str], ...]
+    sought: tuple[Place, ...]
     per_kg: Complexes
 
-    def combined(self, shares: Complexes) -> tuple[complex, Floats]:
-        """The complex sum Σ ``shares`` (mass,) · mass and the covariance (2, 2) of its parts."""
-        turn = np.array([[[s.real, -s.imag], [s.imag, s.real]] for s in shares]).transpose(1, 0, 2).reshape(2, -1)
-        return complex(shares @ self.mass_kg), turn @ self.covariance @ turn.T
+    def combined(self, shares: Mapping[Place, complex]) -> tuple[complex, Floats]:
+        """The complex sum of each mass times the share of its place in ``shares``, and the covariance (2, 2) of it."""
+        share = np.array([shares.get(place, 0.0) for place in self.sought], dtype=np.complex128)
+        turn = np.array([[[s.real, -s.imag], [s.imag, s.real]] for s in share]).transpose(1, 0, 2).reshape(2, -1)
+        return complex(share @ self.mass_kg), turn @ self.covariance @ turn.T
 
+    def per_kg_at(self, place: Place) -> complex:
+        """What the mass at ``place`` multiplies."""
+        return complex(self.per_kg[self.sought.index(place)])
+
+
+ALONG, ACROSS, SECOND = (1, "Z"), (1, "X"), (2, "Z")
+"""Places of the forces of order 1 along and across the cylinder, and of order 2 along it."""
 
 B = TypeVar("B", bound=Balance)
 
@@ -88,58 +100,41 @@ def split_record(split: Split, *, engine: Engine) -> Balance:
     """
     record = Balance(crank_radius_mm=1e3 * engine.crank_radius_m)
     undecided: dict[str, str] = {}
-    at = {place: number for number, place in enumerate(split.sought)}
-    record = _along(record, split, at)
-    if (1, "X") in at and (1, "Z") in at:
-        record = _both_ways(record, split, at, engine, undecided)
-    else:
-        record = _one_way(record, split, at, engine, undecided)
-    if (2, "Z") in at:
-        record = _with_grams(record, "residual_second_order_g", split, *_in_kg(split, at[(2, "Z")], 1.0))
-    else:
+    if ALONG in split.sought:
+        per_kg = abs(split.per_kg_at(ALONG))
+        record = _with_grams(record, "along_g", split, {ALONG: per_kg})
+        record = _with_grams(record, "along_quadrature_g", split, {ALONG: -1j * per_kg})
+    tell = _both_ways if {ALONG, ACROSS} <= set(split.sought) else _one_way
+    record = tell(record, split, engine, undecided)
+    if SECOND in split.sought:
+        record = _with_grams(record, "residual_second_order_g", split, {SECOND: 1.0})
+    elif 2 in engine.shafts.every_order:
         undecided["residual_second_order_g"] = "the path at order 2 is not identified"
-        if 2 not in engine.shafts.every_order:
-            whole = "no shafts take the second order away: the whole reciprocating mass makes it"
-            undecided["residual_second_order_g"] = whole
+    else:
+        whole = "no shafts take the second order away: the whole reciprocating mass makes it"
+        undecided["residual_second_order_g"] = whole
     return replace(record, not_decided=undecided)
 
 
-def _with_grams(record: Balance, key: str, split: Split, mass_kg: complex, covariance: Floats) -> Balance:
-    """``record`` with its field ``key`` at the real part of ``mass_kg`` in grams, by the ``covariance`` (2, 2)."""
+def _with_grams(record: Balance, key: str, split: Split, shares: Mapping[Place, complex]) -> Balance:
+    """``record`` with its field ``key`` at the real part in grams of what ``split`` holds in these ``shares``."""
+    mass_kg, covariance = split.combined(shares)
     half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
     return with_interval(record, key, 1e3 * mass_kg.real, half)
 
 
-def _in_kg(split: Split, number: int, share: complex) -> tuple[complex, Floats]:
-    shares = np.zeros(len(split.mass_kg), dtype=np.complex128)
-    shares[number] = share
-    return split.combined(shares)
-
-
-def _along(record: Balance, split: Split, at: dict[tuple[int, str], int]) -> Balance:
-    if (1, "Z") not in at:
-        return record
-    number = at[(1, "Z")]
-    value, covariance = _in_kg(split, number, abs(split.per_kg[number]))
-    record = _with_grams(record, "along_g", split, value, covariance)
-    half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[1, 1]))
-    return with_interval(record, "along_quadrature_g", 1e3 * value.imag, half)
-
-
-def _one_way(
-    record: Balance, split: Split, at: dict[tuple[int, str], int], engine: Engine, undecided: dict[str, str]
-) -> Balance:
+def _one_way(record: Balance, split: Split, engine: Engine, undecided: dict[str, str]) -> Balance:
     """Forces along the cylinder alone: both orders tell the reciprocating mass where they ask for the same one."""
     across = ("across_g", "forward_gmm", "reverse_gmm", "residual_rotating_gmm", "angle_deg")
     undecided |= dict.fromkeys(across, NO_ACROSS)
-    first, second = at.get((1, "Z")), at.get((2, "Z"))
     alike = "rotating and reciprocating mass act alike along the cylinder at order 1"
-    if first is None or second is None:
+    if not {ALONG, SECOND} <= set(split.sought):
         undecided["residual_reciprocating_g"] = f"{alike}, and no residual of the second order tells them apart"
         return record
     if len(engine.cylinders) > 1:
         undecided["residual_reciprocating_g"] = f"{alike}, and of several cylinders none is known to be the one"
         return record
+    first, second = split.sought.index(ALONG), split.sought.index(SECOND)
     value, covariance, apart = _common(split, first, second)
     if apart > AGREE_CHI_SQUARE:
         undecided["residual_reciprocating_g"] = (
@@ -147,7 +142,8 @@ def _one_way(
             f"{1e3 * abs(split.mass_kg[second]):.3g} g: rotating unbalance, or shafts that miss one of the orders"
         )
         return record
-    return _with_grams(record, "residual_reciprocating_g", split, value, covariance)
+    half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
+    return with_interval(record, "residual_reciprocating_g", 1e3 * value.real, half)
 
 
 def _common(split: Split, first: int, second: int) -> tuple[complex, Floats, float]:
@@ -166,39 +162,35 @@ def _common(split: Split, first: int, second: int) -> tuple[complex, Floats, flo
     return complex(common[0], common[1]), covariance, float(left @ weight @ left)
 
 
-def _both_ways(
-    record: Balance, split: Split, at: dict[tuple[int, str], int], engine: Engine, undecided: dict[str, str]
-) -> Balance:
+def _both_ways(record: Balance, split: Split, engine: Engine, undecided: dict[str, str]) -> Balance:
     """Forces along and across: forward and reverse, and for cylinders along Z rotating and reciprocating."""
-    z, x = at[(1, "Z")], at[(1, "X")]
-    g_mm = 1e6 * engine.crank_radius_m
-    shares = np.zeros(len(split.mass_kg), dtype=np.complex128)
-
-    def sum_of(along: complex, across: complex) -> tuple[complex, Floats]:
-        shares[z], shares[x] = along * split.per_kg[z], across * split.per_kg[x]
-        return split.combined(shares)
-
-    freedom = split.freedom
-    across, covariance = sum_of(0, 1)
-    record = size_and_angle(record, "across_g", "", 1e3 * across, 1e6 * covariance, freedom=freedom)
-    for name, sign in (("forward", 1), ("reverse", -1)):
-        value, covariance = sum_of(0.5 * g_mm, 0.5j * sign * g_mm)
-        record = size_and_angle(record, f"{name}_gmm", f"{name}_angle_deg", value, covariance, freedom=freedom)
+    z, x, g_mm = split.per_kg_at(ALONG), split.per_kg_at(ACROSS), 1e6 * engine.crank_radius_m
+    record = _with_size(record, "across_g", "", split, {ACROSS: 1e3 * x})
+    for name, turn in (("forward", 0.5j), ("reverse", -0.5j)):
+        shares = {ALONG: 0.5 * g_mm * z, ACROSS: turn * g_mm * x}
+        record = _with_size(record, f"{name}_gmm", f"{name}_angle_deg", split, shares)
     if any(cylinder.bank_deg for cylinder in engine.cylinders):
         for key in ("residual_rotating_gmm", "residual_reciprocating_g", "angle_deg"):
             undecided[key] = "pistons of leaning cylinders act across too: forward and reverse parts tell all there is"
     else:
-        value, covariance = sum_of(0, 1j * g_mm)
-        record = size_and_angle(record, "residual_rotating_gmm", "angle_deg", value, covariance, freedom=freedom)
-        piston = np.conj(split.per_kg[z]) / abs(split.per_kg[z]) ** 2
-        value, covariance = sum_of(piston, -1j * piston)
-        record = _with_grams(record, "residual_reciprocating_g", split, value, covariance)
-        if abs(value.imag) > half_width(freedom) * float(np.sqrt(covariance[1, 1])):
+        record = _with_size(record, "residual_rotating_gmm", "angle_deg", split, {ACROSS: 1j * g_mm * x})
+        piston = np.conj(z) / abs(z) ** 2
+        shares = {ALONG: piston * z, ACROSS: -1j * piston * x}
+        record = _with_grams(record, "residual_reciprocating_g", split, shares)
+        value, covariance = split.combined(shares)
+        if abs(value.imag) > half_width(split.freedom) * float(np.sqrt(covariance[1, 1])):
             undecided["reverse_angle_deg"] = "part of the reverse force is out of step with the piston: mistimed shafts"
     for part, way in (("residual_rotating", ""), ("forward", "forward_"), ("reverse", "reverse_")):
         if getattr(record, f"{part}_gmm") is not None and getattr(record, f"{way}angle_deg") is None:
             undecided[f"{way}angle_deg"] = NO_ANGLE
     return record
+
+
+def _with_size(
+    record: Balance, size_key: str, angle_key: str, split: Split, shares: Mapping[Place, complex]
+) -> Balance:
+    """``record`` with the size and the angle of what ``split`` holds in these ``shares``."""
+    return size_and_angle(record, size_key, angle_key, *split.combined(shares), freedom=split.freedom)
 
 
 def added_words(added: Sequence[AddedMass]) -> str:
@@ -216,18 +208,12 @@ def rotor_record(split: Split) -> Balance:
     record = Balance()
     of_pistons = ("residual_reciprocating_g", "residual_second_order_g", "along_g")
     undecided = dict.fromkeys(of_pistons, "a rotor has no pistons")
-    at = {place: number for number, place in enumerate(split.sought)}
-    shares = np.zeros(len(split.mass_kg), dtype=np.complex128)
-    both = (1, "X") in at and (1, "Z") in at
-    for axis, turn in (("Z", 1.0), ("X", 1.0j)):
-        if (1, axis) in at:
-            shares[at[(1, axis)]] = 1e3 * turn * (0.5 if both else 1.0)
-    value, covariance = split.combined(shares)
-    record = size_and_angle(record, "residual_rotating_gmm", "angle_deg", value, covariance, freedom=split.freedom)
+    both = {ALONG, ACROSS} <= set(split.sought)
+    part = 0.5 if both else 1.0
+    shares = {ALONG: 1e3 * part, ACROSS: 1e3j * part}
+    record = _with_size(record, "residual_rotating_gmm", "angle_deg", split, shares)
     if both:
-        shares[at[(1, "X")]] *= -1
-        value, covariance = split.combined(shares)
-        record = size_and_angle(record, "reverse_gmm", "reverse_angle_deg", value, covariance, freedom=split.freedom)
+        record = _with_size(record, "reverse_gmm", "reverse_angle_deg", split, shares | {ACROSS: -shares[ACROSS]})
     else:
         undecided["reverse_gmm"] = "one direction alone tells no sense of rotation: all is taken to turn with the shaft"
     if record.angle_deg is None:

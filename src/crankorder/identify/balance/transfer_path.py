@@ -11,7 +11,7 @@ import xarray as xr
 
 from crankorder.engine.machine_parts import StatedPath
 from crankorder.identify.modes.order_blocks import swept_rows
-from crankorder.identify.modes.order_terms import Passage, resonance
+from crankorder.identify.modes.order_terms import resonance
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import STANDARD_GRAVITY_M_S2, MethodNumbers
@@ -37,8 +37,7 @@ class MeasuredOrders:
     of the channels' errors, Hermitian with unit
     diagonal. ``noise`` (row, channel, channel): covariance
     of the complex errors as noise at like frequency tells it, ``noise_bins`` (row,) in number; where too few do it is
-    diagonal, of ``steady_error``, and ``noise_bins`` 0. ``passages`` say how the rows from a first one on were swept
-    through; the others were held.
+    diagonal, of ``steady_error``, and ``noise_bins`` 0.
     """
 
     channels: tuple[str, ...]
@@ -53,7 +52,6 @@ class MeasuredOrders:
     correlation: Complexes
     noise: Complexes
     noise_bins: Floats
-    passages: tuple[tuple[int, Passage], ...] = ()
 
     @property
     def order_of_row(self) -> Ints:
@@ -89,8 +87,8 @@ def measured_orders(
     level = scale * taken["coherent_amplitude"].values.astype(np.float64)
     complex_map = level * np.exp(1j * np.radians(taken["phase"].values.astype(np.float64)))
     error_map = scale * taken["standard_error"].values.astype(np.float64)
-    swept = [(i, *rows) for i, k in enumerate(bin_of) for item in followed if (rows := swept_rows(k, item)) is not None]
-    mapped = [i for i in range(len(bin_of)) if all(i != place for place, *_ in swept)]
+    swept = [(i, rows) for i, k in enumerate(bin_of) for item in followed if (rows := swept_rows(k, item)) is not None]
+    mapped = [i for i in range(len(bin_of)) if all(i != place for place, _ in swept)]
     at = [list(bin_of.values())[i] for i in mapped]
     amplitude, error, freedom = (
         np.moveaxis(values[:, :, at], 2, 1).reshape(len(known), -1)
@@ -128,7 +126,7 @@ def measured_orders(
         return held
     width_hz = order_map.attrs["enbw_bins"] * step * speed_rpm / 60.0 / order_map["n_independent"].values
     noise = _sorted(complex_map / np.sqrt(width_hz)[:, None], hertz, quiet)
-    return _joined([held, *(_swept(held, *one, scale[:, 0], noise) for one in swept)])
+    return _joined([held, *(_swept(held, place, rows, scale[:, 0], noise) for place, rows in swept)])
 
 
 def _sorted(amplitude: Complexes, frequency_hz: Floats, usable: Bools) -> Noise:
@@ -138,17 +136,20 @@ def _sorted(amplitude: Complexes, frequency_hz: Floats, usable: Bools) -> Noise:
     return frequency_hz[sound][sequence], amplitude[:, sound].T[sequence]
 
 
-def _swept(
-    held: MeasuredOrders, place: int, tracks: xr.Dataset, passage: Passage, scale: Floats, noise: Noise
-) -> MeasuredOrders:
-    """Rows of one order through one sweep: its ``tracks`` (channel, frame), which ``scale`` (channel, 1) takes to m/s².
+def _swept(held: MeasuredOrders, place: int, tracks: xr.Dataset, scale: Floats, noise: Noise) -> MeasuredOrders:
+    """Rows of one order through one sweep, as if each speed were held: its ``tracks`` (channel, frame).
+
+    ``scale`` (channel, 1) takes them to m/s².
 
     They err as the ``noise`` in the band of the filter that followed them: frequencies (n,), rising, and amplitudes
     (n, channel) over the root of their bandwidth. That is seen at other times, when the order is elsewhere: what stands
     beside it while it passes a resonance is less than the noise under it, and more soon after. Few bins tell nothing.
     """
-    amplitude = scale * tracks["amplitude"].reindex(channel=list(held.channels)).values
-    rpm, band_hz = tracks["speed"].values, noise_bandwidth_share(passage.poles) * tracks["bandwidth_hz"].values
+    amplitude = scale * tracks["held_amplitude"].reindex(channel=list(held.channels)).values
+    rpm, band_hz = (
+        tracks["speed"].values,
+        noise_bandwidth_share(int(tracks.attrs["poles"])) * tracks["bandwidth_hz"].values,
+    )
     low, high = np.searchsorted(noise[0], held.orders[place] * rpm / 60.0 + band_hz * np.array([[-0.5], [0.5]]))
     summed = np.cumsum(np.einsum("nc,nd->ncd", noise[1], noise[1].conj()), axis=0)
     summed = np.concatenate([np.zeros_like(summed[:1]), summed])
@@ -168,18 +169,15 @@ def _swept(
         correlation=np.ones_like(covariance),
         noise=covariance,
         noise_bins=bins,
-        passages=((0, passage),),
     )
 
 
 def _joined(parts: Sequence[MeasuredOrders]) -> MeasuredOrders:
     """All rows of the ``parts``."""
-    first = np.cumsum([0, *(part.rpm_of_row.size for part in parts)]).tolist()
     axes = dict.fromkeys(("place_of_row", "rpm_of_row", "correlation", "noise", "noise_bins"), 0)
     axes |= dict.fromkeys(("amplitude", "error", "steady_error", "freedom", "own_share"), 1)
     rows: Any = {k: np.concatenate([getattr(part, k) for part in parts], axis=axis) for k, axis in axes.items()}
-    passages = tuple((n, passage) for n, part in zip(first, parts, strict=False) for _, passage in part.passages)
-    return replace(parts[0], **rows, passages=passages)
+    return replace(parts[0], **rows)
 
 
 def _beside(bins: Floats, centre: int, lines: Sequence[float]) -> list[int]:

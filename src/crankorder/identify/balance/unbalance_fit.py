@@ -24,8 +24,8 @@ from crankorder.identify.balance.known_forces import (
 )
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
 from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
-from crankorder.identify.causes.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrders, ModalFit
+from crankorder.identify.machine_model import gas_half_orders
 from crankorder.identify.modes.pole_errors import side_by_side
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
@@ -121,17 +121,14 @@ def _by_engine_orders(
 
 
 def _check_firing(orders: AgreedOrders, engine: Engine) -> None:
-    if engine.gas is not None:
-        raise _Refused(
-            "the engine has gas: its torque rocks the crankcase at every order of the known forces, through a path "
-            f"that is not known. Motor it without compression, with an engine file without gas; or {TRIAL_MASS}"
-        )
     half = gas_half_orders(order.order for order in orders)
+    rocks = "rocks the crankcase at every order of the known forces"
+    if engine.gas is not None:
+        rocks = f"the engine has gas: its torque {rocks}, through a path that is not known"
+        raise _Refused(f"{rocks}. Motor it without compression, with an engine file without gas; or {TRIAL_MASS}")
     if engine.revs_per_cycle == 2 and len(half) > 1:
-        raise _Refused(
-            f"half orders ({', '.join(half)}) show gas torque, which rocks the crankcase at every order of the known "
-            f"forces too. Motor it without compression; or {TRIAL_MASS}"
-        )
+        rocks = f"half orders ({', '.join(half)}) show gas torque, which {rocks} too"
+        raise _Refused(f"{rocks}. Motor it without compression; or {TRIAL_MASS}")
 
 
 def _check_scale(measured: MeasuredOrders, shaker: KnownForces) -> None:
@@ -144,14 +141,12 @@ def _check_scale(measured: MeasuredOrders, shaker: KnownForces) -> None:
         raise _Refused("the orders of known force were not measured")
     largest = np.abs(measured.amplitude[:, strong]).max(axis=0) / force[strong]
     mass_kg = 1.0 / max(float(np.median(largest)), 1e-300)
-    if NUMBERS.lightest_kg <= mass_kg <= NUMBERS.heaviest_kg:
-        return
-    times = mass_kg / 1e3 if mass_kg > NUMBERS.heaviest_kg else 10.0 / mass_kg
-    word = "small" if mass_kg > NUMBERS.heaviest_kg else "large"
-    raise _Refused(
-        f"the amplitudes are about {times:.0e} times too {word} for this engine: its known forces would act on a mass "
-        f"of {mass_kg:.2g} kg. Check sensitivity and unit of the channels"
-    )
+    if not NUMBERS.lightest_kg <= mass_kg <= NUMBERS.heaviest_kg:
+        times, word = (mass_kg / 1e3, "small") if mass_kg > NUMBERS.heaviest_kg else (10.0 / mass_kg, "large")
+        raise _Refused(
+            f"the amplitudes are about {times:.0e} times too {word} for this engine: its known forces would act on a "
+            f"mass of {mass_kg:.2g} kg. Check sensitivity and unit of the channels"
+        )
 
 
 def _fitted(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit) -> KnownForcesFit:
@@ -220,23 +215,20 @@ def _check_orders_agree(measured: MeasuredOrders, shaker: KnownForces, modal: Mo
         alone = quiet_fit(rest, shaker.forces.on(fit.axes), modal, n_modes=n_modes).widened()
         for number, (sought, _) in enumerate(shaker.sought):
             part = slice(2 * number, 2 * number + 2)
+            without, with_it = (1e3 * abs(of.mass_kg[number]) for of in (alone, fit))
             apart = abs(alone.mass_kg[number] - fit.mass_kg[number])
-            if np.trace(alone.covariance[part, part]) > 2 * (NUMBERS.weak_share * abs(fit.mass_kg[number])) ** 2:
+            variance, stated = (np.trace(of.covariance[part, part]) for of in (alone, fit))
+            if variance > 2 * (NUMBERS.weak_share * abs(fit.mass_kg[number])) ** 2:
                 continue
-            variance = np.trace(alone.covariance[part, part]) - np.trace(fit.covariance[part, part])
-            slack = max(variance / 2, 0.02 * np.trace(alone.covariance[part, part]) / 2)
-            stated = np.sqrt(np.trace(fit.covariance[part, part]) / 2)
-            if apart > max(NUMBERS.disagree_sigmas * np.sqrt(slack), NUMBERS.harmless_sigmas * stated):
+            slack = np.sqrt(max((variance - stated) / 2, 0.02 * variance / 2))
+            if apart > max(NUMBERS.disagree_sigmas * slack, NUMBERS.harmless_sigmas * np.sqrt(stated / 2)):
                 raise _Refused(
                     f"the orders of known force contradict one another: without order {order} the mass behind order "
-                    f"{sought} is {1e3 * abs(alone.mass_kg[number]):.3g} g, with it "
-                    f"{1e3 * abs(fit.mass_kg[number]):.3g} g; another source makes one of them, such as "
-                    f"meshing gears; {TRIAL_MASS}"
+                    f"{sought} is {without:.3g} g, with it {with_it:.3g} g; another source makes one of them, such "
+                    f"as meshing gears; {TRIAL_MASS}"
                 )
             checked.append(order)
-    if not checked:
-        return _check_single(shaker, fit)
-    return f"orders {_listed(shaker.known_orders)} agree"
+    return f"orders {_listed(shaker.known_orders)} agree" if checked else _check_single(shaker, fit)
 
 
 def _check_single(shaker: KnownForces, fit: KnownForcesFit) -> str:
@@ -288,11 +280,11 @@ ROTOR_RADIUS_M = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
-    mass_kg: Complexes
-    covariance: Floats
-    freedom: float
+    """Masses of one order in a ``split``, the share of the order that the paths ``missed``, and speeds that told."""
+
+    split: Split
     missed: float
-    rows: int
+    speeds: int
 
 
 def by_stated_paths(
@@ -319,11 +311,11 @@ def by_stated_paths(
     if pistons and engine is not None and 2 in engine.shafts.every_order and 2 in measured.orders and "Z" in directions:
         parts.append((2, ("Z",)))
     fits = [_forces(measured, order, axes, paths, radius_m) for order, axes in parts]
-    split = _split_by_paths(fits, parts, engine if pistons else None)
+    split = _split_by_paths([forces.split for forces in fits], engine if pistons else None)
     record = split_record(split, engine=engine) if pistons and engine is not None else rotor_record(split)
     used = sorted({path.channel for path in paths})
     evidence = (
-        f"stated paths of {', '.join(used)} at {fits[0].rows} speeds in their range; they miss "
+        f"stated paths of {', '.join(used)} at {fits[0].speeds} speeds in their range; they miss "
         f"{100 * fits[0].missed:.0f} % of order 1; paths that are not stated are taken as none"
     )
     orders = tuple(order for order, _ in parts)
@@ -372,7 +364,8 @@ def _forces(
             covariance += np.outer(parts, parts)
     covariance = max(1.0, chi_square) * _noise(inverse, own, measured.correlation[at]) + covariance
     speeds = int(np.count_nonzero(usable.any(axis=0)))
-    return _Forces(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), missed, speeds)
+    sought, per_kg = tuple((order, axis) for axis in axes), np.ones(len(axes), dtype=np.complex128)
+    return _Forces(Split(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), sought, per_kg), missed, speeds)
 
 
 def _noise(inverse: Complexes, own: Floats, correlation: Complexes) -> Floats:
@@ -387,21 +380,16 @@ def _noise(inverse: Complexes, own: Floats, correlation: Complexes) -> Floats:
     return parts
 
 
-def _split_by_paths(fits: list[_Forces], parts: list[tuple[int, tuple[str, ...]]], engine: Engine | None) -> Split:
-    """All masses together: on the pistons where forces act along them alone, else at the crank radius."""
-    sought = tuple((order, axis) for order, axes in parts for axis in axes)
-    per_kg = np.ones(len(sought), dtype=np.complex128)
+def _split_by_paths(parts: list[Split], engine: Engine | None) -> Split:
+    """All masses of ``parts`` together: on the pistons where forces act along them alone, else at the crank radius."""
+    sought = tuple(place for part in parts for place in part.sought)
+    per_kg = np.concatenate([part.per_kg for part in parts])
     if engine is not None:
-        bare = engine.pistons_alone
         along_only = (1, "X") not in sought
         for number, (order, axis) in enumerate(sought):
             alone = along_only or (order == 2 and axis == DIRECTIONS[Z])
-            per_kg[number] = force_per_kg(bare, order, DIRECTIONS.index(axis), along_only=alone)
+            per_kg[number] = force_per_kg(engine.pistons_alone, order, DIRECTIONS.index(axis), along_only=alone)
     turn = side_by_side([np.array([[s.real, -s.imag], [s.imag, s.real]]) for s in 1 / per_kg])
-    return Split(
-        mass_kg=np.concatenate([forces.mass_kg for forces in fits]) / per_kg,
-        covariance=turn @ side_by_side([forces.covariance for forces in fits]) @ turn.T,
-        freedom=min(forces.freedom for forces in fits),
-        sought=sought,
-        per_kg=per_kg,
-    )
+    covariance = turn @ side_by_side([part.covariance for part in parts]) @ turn.T
+    masses = np.concatenate([part.mass_kg for part in parts]) / per_kg
+    return Split(masses, covariance, min(part.freedom for part in parts), sought, per_kg)

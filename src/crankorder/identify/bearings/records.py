@@ -24,7 +24,7 @@ from crankorder.identify.bearings.envelope_lines import (
     spectra_of,
 )
 from crankorder.identify.found import AgreedOrder, AgreedOrders
-from crankorder.identify.intervals import Z95, half_width, positive_interval
+from crankorder.identify.intervals import Z95, half_width, positive_interval, size_interval
 from crankorder.identify.lines.growth import growth, mean_level, reported
 from crankorder.identify.machine_model import StatedPart, parts_at
 from crankorder.quantities import Floats
@@ -72,29 +72,26 @@ def bearing_records(
                 shafts[key] = shaft
         for line in found:
             records.append(_envelope_record(line, found, envelope, shafts.get((line.place.name, line.speed)), level))
-    return tuple(_with_races(record, records) for record in records if not _is_excluded(record, records))
+    beside_races = (_beside_races(record, records) for record in records)
+    return tuple(record for record in beside_races if record is not None)
 
 
-def _is_excluded(record: BearingFinding, records: Sequence[BearingFinding]) -> bool:
-    """Whether a ``record`` of N*fs in the vibration that slips is not the sum of both races as they were found."""
-    if record.line != "N*fs" or record.seen_in != "vibration" or record.lock == "locked":
-        return False
-    races = {other.line: other for other in records if other.name == record.name and other.line in ("BPFO", "BPFI")}
-    if len(races) < 2:
-        return False
-    total = sum(other.order for other in races.values())
-    spare = sum(other.order_half for other in (*races.values(), record))
-    return bool(abs(record.order - total) > max(2.0 * spare, 1e-3 * total))
+def _beside_races(record: BearingFinding, records: Sequence[BearingFinding]) -> BearingFinding | None:
+    """``record``, of N*fs in the vibration with a word on the races of its bearing: they slip where it keeps step.
 
-
-def _with_races(record: BearingFinding, records: Sequence[BearingFinding]) -> BearingFinding:
-    """``record`` of N*fs with a word on the races of the same bearing: they slip where their sum keeps step."""
+    None where it slips and is not the sum of both races as they were found.
+    """
     if record.line != "N*fs" or record.seen_in != "vibration":
         return record
     own = [other for other in records if other.name == record.name and other is not record]
-    races = sorted({other.line for other in own} & {"BPFO", "BPFI"})
+    races = {other.line: other for other in own if other.line in ("BPFO", "BPFI")}
+    if record.lock != "locked" and len(races) == 2:
+        total = sum(other.order for other in races.values())
+        spare = sum(other.order_half for other in (*races.values(), record))
+        if abs(record.order - total) > max(2.0 * spare, 1e-3 * total):
+            return None
     struck = sorted({other.line for other in own if other.seen_in == "envelope"} - {"BPFO", "BPFI"})
-    return replace(record, verdict=f"{record.verdict} {races_words(races, struck)}")
+    return replace(record, verdict=f"{record.verdict} {races_words(sorted(races), struck)}")
 
 
 def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int) -> BearingFinding | None:
@@ -125,9 +122,7 @@ def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int
         channel=line.channel,
         speed_rpm=level.speed_rpm,
         is_mean=steady,
-        band_hz=None,
         harmonics=1 + len(multiples),
-        sidebands=None,
         lock=best.lock,
         judged=vibration_verdict(place, best, revs_per_cycle=revs_per_cycle),
         evidence=f"{line.evidence}; {line.level_over_floor_db:.1f} dB over the local floor in {line.channel}, "
@@ -176,7 +171,6 @@ def _envelope_record(
     nominal = envelope.attrs["speed_basis"] == "nominal"
     drawn = [float(envelope[end].values[line.channel, line.speed]) for end in ("band_low", "band_high")]
     band = list(line.band_hz) if math.isfinite(line.band_hz[0]) else drawn
-    half = Z95 * line.amplitude_error
     seen = line.seen.any(axis=0).sum()
     text = (
         f"{10.0 * math.log10(line.ratio):.1f} dB over the envelope's floor in {names[line.channel]}, band "
@@ -197,7 +191,7 @@ def _envelope_record(
         shaft,
         seen_in="envelope",
         amplitude=line.amplitude,
-        amplitude_ci95=(max(0.0, line.amplitude - half), line.amplitude + half),
+        amplitude_ci95=size_interval(line.amplitude, Z95 * line.amplitude_error),
         channel=names[line.channel],
         speed_rpm=float(envelope["speed"].values[line.speed]),
         band_hz=(band[0], band[1]),
@@ -429,14 +423,12 @@ def shaft_speed(spectra: Spectra, line: EnvelopeLine) -> ShaftSpeed | None:
 def _pair(ratio: Floats, step: float, cell: float, carrier: float, spacing: float) -> tuple[float, float] | None:
     """Distance of a ``carrier`` to its sidebands about ``spacing`` away, with its error; None without a pair."""
     reach = SIDEBAND_NUMBERS.most_off_share * spacing + cell
-    low, high = (_peak(ratio, step, carrier + side * spacing, reach) for side in (-1, 1))
-    if low is None or high is None:
-        return None
+    peaks = [_peak(ratio, step, carrier + side * spacing, reach) for side in (-1, 1)]
+    (low, low_ratio), (high, high_ratio) = (peak or (math.nan, math.nan) for peak in peaks)
     # the pair is one of sidebands only where the carrier is in its middle
-    if abs(0.5 * (low[0] + high[0]) - carrier) > cell:
+    if not abs(0.5 * (low + high) - carrier) <= cell:
         return None
-    error = 0.5 * math.hypot(place_error(low[1], cell), place_error(high[1], cell))
-    return 0.5 * (high[0] - low[0]), error
+    return 0.5 * (high - low), 0.5 * math.hypot(place_error(low_ratio, cell), place_error(high_ratio, cell))
 
 
 def _peak(ratio: Floats, step: float, near: float, reach: float) -> tuple[float, float] | None:

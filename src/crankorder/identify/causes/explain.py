@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from crankorder.cause import Cause, CauseKind, alike_speeds, of_mains, of_order
 from crankorder.findings import BearingFinding, Lock
-from crankorder.identify.causes.aliasing import ShownAlias
-from crankorder.identify.causes.cycle_forces import CycleForce, cycle_forces, gas_half_orders
 from crankorder.identify.causes.sidebands import (
     BY_ITSELF,
     LineCauses,
@@ -24,18 +22,24 @@ from crankorder.identify.causes.sidebands import (
 )
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.intervals import half_width
-from crankorder.identify.lines.growth import is_motion, largest, order_one
-from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.lines.growth import NO_MOTION, largest, order_one
 from crankorder.identify.lines.known_lines import LineSeen, named_by
+from crankorder.identify.lines.line_evidence import ShownAlias
 from crankorder.identify.lines.mains import mains_orders, multiple_on, multiples_near, supply_told
-from crankorder.identify.machine_model import MachineModel, PartsAt, StatedPart, parts_at
+from crankorder.identify.machine_model import (
+    CycleForce,
+    MachineModel,
+    PartsAt,
+    StatedPart,
+    cycle_forces,
+    gas_half_orders,
+    parts_at,
+)
 from crankorder.identify.modes.tones import NUMBERS as TONES
+from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "explain")
-
-ForcesOfCycle = dict[tuple[str, float], CycleForce]
-"""What gas and masses make of a line, by channel and AgreedOrder.order."""
 
 OF_NUMBER: tuple[CauseKind, ...] = (
     "unbalance",
@@ -62,6 +66,24 @@ class Causes:
 
 
 @dataclass(frozen=True)
+class Beside:
+    """What else was found of a test.
+
+    Channels ``in_cylinder`` measure the pressure in one; ``folds``: what folds (``shown_aliases``); ``known`` lines
+    of the motor and of the mains that the frames hold where they were expected; ``of_swing``: lines that swings of the
+    angle may make; ``longest_rev``: revolutions of the longest recording at one speed, in which two lines that beat
+    less often look like one; ``rows``: lines by channel and order with the amplitudes of their tracks.
+    """
+
+    in_cylinder: Collection[str] = ()
+    folds: Sequence[ShownAlias] = ()
+    known: Sequence[LineSeen] = ()
+    of_swing: LineCauses = field(default_factory=dict)
+    longest_rev: float = np.inf
+    rows: Mapping[tuple[str, float], OrderLine] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class _Test:
     """What the rules know of a test: its ``orders``, the machine, and what was found of it before.
 
@@ -72,7 +94,7 @@ class _Test:
     machine: MachineModel
     races: list[StruckRace]
     folds: Sequence[ShownAlias]
-    forces: ForcesOfCycle
+    forces: dict[tuple[str, float], CycleForce]
     modes: Sequence[Mode]
 
 
@@ -104,12 +126,7 @@ def explained(
     sources: MachineModel,
     quantity: dict[str, str],
     settings: IdentifySettings,
-    in_cylinder: Collection[str] = (),
-    folds: Sequence[ShownAlias] = (),
-    known: Sequence[LineSeen] = (),
-    of_swing: LineCauses | None = None,
-    longest_rev: float = np.inf,
-    rows: Mapping[tuple[str, float], OrderLine] | None = None,
+    beside: Beside | None = None,
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
 
@@ -124,32 +141,26 @@ def explained(
     bearings : findings of ``bearing_records``: ``name``, ``line``, ``order``, ``order_ci95``, ``lock`` count
     sources : what is known of the machine
     quantity : quantity of each channel by its name, such as "acceleration" or "sound pressure"
-    in_cylinder : channels that measure the pressure in a cylinder, where the machine is a piston engine
     settings : mains frequencies and how far they wander
-    folds : what was found to fold (:func:`crankorder.identify.causes.aliasing.shown_aliases`)
-    known : lines of the motor and of the mains that the frames hold where they were expected
-    of_swing : lines that swings of the angle may make (:func:`crankorder.identify.causes.angle_swings.swing_sidebands`)
-    longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
-    rows : lines by channel and order with the amplitudes of their tracks, which tell how they grow
+    beside : what else was found of the test
     """
-    causes: LineCauses = {}
+    causes, beside = LineCauses(), beside or Beside()
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
-    test = _Test(orders, sources, races, folds, _forces_of_cycle(orders, sources), modal.modes)
+    test = _Test(orders, sources, races, beside.folds, _forces_of_cycle(orders, sources), modal.modes)
     of_cycle = {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders}
     for agreed in orders:
         at = _stated_parts(agreed, bearings, sources)
         for line in agreed.lines:
             key = line.channel, agreed.order
-            grown = (rows or {}).get(key, line)
-            known_of = _Line(agreed, grown, at, of_cycle[agreed.order], quantity[key[0]], key[0] in in_cylinder)
-            causes[key] = next(
-                (cause for rule in RULES if (cause := rule(known_of, test)) is not None), _unexplained(known_of, test)
-            )
-    for key, cause in (of_swing or {}).items():
-        if causes[key].is_just(*BY_ITSELF, *OF_NUMBER):
-            causes[key] = cause
+            pressure = line.channel in beside.in_cylinder
+            grown, what = beside.rows.get(key, line), quantity[line.channel]
+            known_of = _Line(agreed, grown, at, of_cycle[agreed.order], what, pressure)
+            by_rules = (cause for rule in RULES if (cause := rule(known_of, test)) is not None)
+            causes[key] = next(by_rules, None) or _unexplained(known_of, test)
+    swung = beside.of_swing.items()
+    causes |= {key: cause for key, cause in swung if causes[key].is_just(*BY_ITSELF, *OF_NUMBER)}
     # lines of the mains and of the motor, with what else each may be where the data do not tell
-    unparted = {agreed.order: _unparted(agreed, sources.revs_per_cycle, longest_rev) for agreed in orders}
+    unparted = {agreed.order: _unparted(agreed, sources.revs_per_cycle, beside.longest_rev) for agreed in orders}
     mains = [tone for tone in modal.tones if tone.kind == "mains"]
     exact = [order for order, multiple in unparted.items() if multiple is not None]
     # what errors of the angle may make beside a strong order has a cause that nothing tells from mains
@@ -157,7 +168,7 @@ def explained(
     electric = mains_orders(lines, tones=mains, exact=exact, settings=settings)
     sure: set[float] = set()
     for agreed in orders:
-        seen = named_by(known, agreed)
+        seen = named_by(beside.known, agreed)
         in_doubt = agreed.order in electric and "another tone" in electric[agreed.order].kinds
         if seen is not None and not in_doubt:
             where = f"{seen.hertz:.6g} Hz at {seen.held.rpm:.5g} rpm"
@@ -170,10 +181,10 @@ def explained(
         if order in electric
     }
     spacings, modes_hz = spacings_of(sources, bearings), [mode.frequency_hz for mode in modal.modes]
-    causes |= explain_families(orders, causes, of_cycle, spacings=spacings, modes_hz=modes_hz, of_swing=of_swing or {})
+    causes |= explain_families(orders, causes, of_cycle, spacings=spacings, modes_hz=modes_hz, of_swing=beside.of_swing)
     rpm = _one_speed(orders)
     modes = tuple(_of_mode(mode, races, rpm) for mode in modal.modes)
-    return Causes(causes, modes, _explained_tones(modal.tones, races, sources.gears, rpm, known, settings))
+    return Causes(causes, modes, _explained_tones(modal.tones, races, sources.gears, rpm, beside.known, settings))
 
 
 def _with_electric(cause: Cause, electric: Cause, of_cycle: float | None, sure: bool) -> Cause:
@@ -191,7 +202,7 @@ def _unparted(agreed: AgreedOrder, revs_per_cycle: int, longest_rev: float) -> f
     if multiple is not None or agreed.lock != "undecided" or not np.isfinite(longest_rev):
         return multiple
     nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
-    return nearest if abs(agreed.order - nearest) * longest_rev < KNOWN_LINES.apart_cycles else None
+    return nearest if abs(agreed.order - nearest) * longest_rev < JOINT_LINES.apart_cycles else None
 
 
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
@@ -218,7 +229,7 @@ def _gas_in_pressure(of: _Line, test: _Test) -> Cause | None:
     return Cause("gas cycle", f"order {of.of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {of.proof}")
 
 
-def _forces_of_cycle(orders: AgreedOrders, sources: MachineModel) -> ForcesOfCycle:
+def _forces_of_cycle(orders: AgreedOrders, sources: MachineModel) -> dict[tuple[str, float], CycleForce]:
     """Gas and inertia by channel and order, at the speed where each line is largest; empty without gas or engine."""
     if sources.engine is None or not sources.firing:
         return {}
@@ -290,7 +301,7 @@ def _stated(at: PartsAt, kind: CauseKind, proof: str) -> Cause | None:
 
 def _first_order(of: _Line, test: _Test) -> Cause | None:
     """What order 1 is by how it grows; a harmonic of the shaft, or unexplained, where that is not as unbalance does."""
-    if of.of_cycle != 1.0 or not is_motion(of.quantity):
+    if of.of_cycle != 1.0 or any(word in of.quantity for word in NO_MOTION):
         return None
     cause = order_one(of.line, of.quantity, test.modes)
     if cause.kind != "unexplained":
@@ -316,10 +327,8 @@ def _race_harmonic(of: _Line, test: _Test) -> Cause | None:
 
 
 def _fold(of: _Line, test: _Test) -> Cause | None:
-    for shown in test.folds:
-        if shown.is_line(of.line):
-            return Cause("fold", shown.fold.evidence, {"frequency_hz": shown.fold.frequency_hz})
-    return None
+    fold = next((shown.fold for shown in test.folds if shown.is_line(of.line)), None)
+    return None if fold is None else Cause("fold", fold.evidence, {"frequency_hz": fold.frequency_hz})
 
 
 def _half_order(of: _Line, test: _Test) -> Cause | None:
@@ -375,7 +384,7 @@ def _unexplained(of: _Line, test: _Test) -> Cause:
 
 def _one_speed(orders: Sequence[AgreedOrder]) -> float | None:
     """Speed in rpm of a test at one speed, where a tone may as well be a line that goes with it; else None."""
-    speed = np.array([rpm for agreed in orders for line in agreed.lines for rpm in line.speed_rpm])
+    speed = np.array([rpm for agreed in orders for rpm in agreed.speed_rpm])
     return float(speed.mean()) if alike_speeds(speed) else None
 
 
@@ -396,8 +405,7 @@ def _explained_tones(
     mains = {f"mains {tone.frequency_hz:.4g} Hz": tone.frequency_hz for tone in tones if tone.kind == "mains"}
     errors = [tone.frequency_error_hz for tone in tones]
     sides, highest = [not on for on in _on_one_grid(places, errors)], max(places, default=1.0)
-    bands = sidebands(places, errors, sizes, spacings=mains, highest=highest, sides=sides)
-    of = {band.at: band for band in bands}
+    of = {band.at: band for band in sidebands(places, errors, sizes, spacings=mains, highest=highest, sides=sides)}
     supply = supply_told([(tone.frequency_hz, 0.0) for tone in tones if tone.kind == "mains"], settings=settings)
     causes = []
     for number, tone in enumerate(tones):

@@ -5,15 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
+import xarray as xr
 
-from crankorder.cause import Cause, CauseKind
+from crankorder.cause import BY_A_SWING, Cause, CauseKind
 from crankorder.findings import BearingFinding
 from crankorder.identify.found import AgreedOrder, AgreedOrders, OrderLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import MachineModel
+from crankorder.orders.swing_evidence import HARMONICS
+from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_of, swing_shown
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "sidebands")
@@ -80,19 +85,18 @@ def _pairs(
     below = [k for k in range(len(places)) if may[k] and places[k] < places[carrier]]
     above = [k for k in range(len(places)) if may[k] and places[k] > places[carrier]]
     pairs = []
-    for low in below:
-        for high in above:
-            spacing = 0.5 * (places[high] - places[low])
-            error = float(np.sqrt(0.25 * (errors[high] ** 2 + errors[low] ** 2) + errors[carrier] ** 2))
-            lopsided = abs(places[carrier] - 0.5 * (places[high] + places[low]))
-            if lopsided > NUMBERS.same_sigmas * error or places[carrier] < NUMBERS.carrier_spacings * spacing:
-                continue
-            name, multiple = _known(spacing, 0.5 * float(np.hypot(errors[high], errors[low])), spacings)
-            # so many pairs as there are, each with its middle anywhere, would sit so often on this carrier
-            chance = len(below) * len(above) * min(1.0, 2.0 * NUMBERS.same_sigmas * error / highest)
-            if name or chance < NUMBERS.family_chance:
-                of_carrier = (carrier, spacing / multiple, multiple, name, chance)
-                pairs.append((Sideband(low, *of_carrier), Sideband(high, *of_carrier)))
+    for low, high in product(below, above):
+        spacing = 0.5 * (places[high] - places[low])
+        error = float(np.sqrt(0.25 * (errors[high] ** 2 + errors[low] ** 2) + errors[carrier] ** 2))
+        lopsided = abs(places[carrier] - 0.5 * (places[high] + places[low]))
+        if lopsided > NUMBERS.same_sigmas * error or places[carrier] < NUMBERS.carrier_spacings * spacing:
+            continue
+        name, multiple = _known(spacing, 0.5 * float(np.hypot(errors[high], errors[low])), spacings)
+        # so many pairs as there are, each with its middle anywhere, would sit so often on this carrier
+        chance = len(below) * len(above) * min(1.0, 2.0 * NUMBERS.same_sigmas * error / highest)
+        if name or chance < NUMBERS.family_chance:
+            of_carrier = (carrier, spacing / multiple, multiple, name, chance)
+            pairs.append((Sideband(low, *of_carrier), Sideband(high, *of_carrier)))
     return sorted(pairs, key=lambda pair: (not pair[0].spacing_name, pair[0].multiple, pair[0].spacing))
 
 
@@ -108,14 +112,12 @@ def _known(spacing: float, error: float, spacings: dict[str, float]) -> tuple[st
 def spacings_of(sources: MachineModel, bearings: Sequence[BearingFinding]) -> dict[str, float]:
     """Names and orders of what may modulate a line: shafts and cycle of ``sources``, and the cages of ``bearings``."""
     spacings = {"shaft": 1.0} | ({"half-speed shaft": 0.5} if sources.revs_per_cycle == 2 else {})
-    for bearing in sources.bearings:
-        if bearing.shaft_ratio not in spacings.values():
-            spacings[bearing.name] = bearing.shaft_ratio
+    shafts = [(bearing.name, bearing.shaft_ratio) for bearing in sources.bearings]
+    for name, order in [*shafts, *((gear.name, gear.shaft_order) for gear in sources.gears)]:
+        if order not in spacings.values():
+            spacings[name] = order
     cages = [(record.name, record.order) for record in bearings if record.line == "FTF"]
     expected = [(name, order) for (name, line), order in sources.known_bearing_orders.items() if line == "FTF"]
-    for gear in sources.gears:
-        if gear.shaft_order not in spacings.values():
-            spacings[gear.name] = gear.shaft_order
     return spacings | {f"cage of {name}": order for name, order in [*expected, *cages]}
 
 
@@ -130,14 +132,13 @@ def meshes(amplitude_of: dict[int, float]) -> list[int]:
     """
     found = []
     for order, amplitude in amplitude_of.items():
-        sides = [amplitude_of.get(order - 1), amplitude_of.get(order + 1)]
-        if order < NUMBERS.least_teeth or None in sides:
+        if order < NUMBERS.least_teeth or not {order - 1, order + 1} <= amplitude_of.keys():
             continue
+        largest_side = max(amplitude_of[order - 1], amplitude_of[order + 1])
         beside = [amplitude_of.get(order + step, 0.0) for step in range(-5, 6) if step]
         whole = all(below in amplitude_of for below in range(1, order))
         if whole and (order <= NUMBERS.most_firings or amplitude < NUMBERS.mesh_ratio * max(beside)):
             continue
-        largest_side = max(side for side in sides if side is not None)
         if amplitude >= NUMBERS.mesh_ratio * largest_side and amplitude > max(beside):
             found.append(order)
     return sorted(found)
@@ -362,8 +363,7 @@ def struck_races(
         error = record.order_half / Z95
         old, shaft = races.get(key), record.shaft_order
         if old is None:
-            title = "2 x BSF" if record.line == "BSF" else record.line
-            stated = float(ratio.get(record.name, 1.0))
+            title, stated = "2 x BSF" if record.line == "BSF" else record.line, float(ratio.get(record.name, 1.0))
             shaft_error = RACE_NUMBERS.stated_error_share * stated
             races[key] = StruckRace(record.name, title, record.order, error, shaft or stated, shaft_error)
             continue
@@ -389,17 +389,13 @@ def race_cause(races: Sequence[StruckRace], order: float, error: float, *, few: 
 
 def _refined(race: StruckRace, lines: Sequence[tuple[float, float]]) -> StruckRace:
     """``race`` with its order and that of the shaft fitted to the lines of ``lines`` that are surely its own."""
-    hits = [
-        (harmonic, turns, order, max(error, RACE_NUMBERS.least_error * race.shaft))
-        for order, error in lines
-        if (found := race.nearest(order, error)) is not None
-        for harmonic, turns, _ in [found]
-    ]
-    hits.sort(key=lambda hit: hit[0] + abs(hit[1]))
-    hits = hits[: RACE_NUMBERS.anchors]
+    hits = [(*place, order, error) for order, error in lines if (place := race.nearest(order, error)) is not None]
     if len(hits) < RACE_NUMBERS.anchors:
         return race
-    harmonic, turns, order, error = (np.array(column, dtype=float) for column in zip(*hits, strict=True))
+    harmonic, turns, _, order, error = np.array(hits, dtype=float).T
+    lowest = np.argsort(harmonic + np.abs(turns), kind="stable")[: RACE_NUMBERS.anchors]
+    harmonic, turns, order = harmonic[lowest], turns[lowest], order[lowest]
+    error = np.maximum(error[lowest], RACE_NUMBERS.least_error * race.shaft)
     design = np.column_stack([harmonic, turns]) / error[:, None]
     if np.linalg.matrix_rank(design) < 2:
         return race
@@ -407,3 +403,185 @@ def _refined(race: StruckRace, lines: Sequence[tuple[float, float]]) -> StruckRa
     fitted = inverse @ design.T @ (order / error)
     (of_race, of_shaft), (race_error, shaft_error) = fitted.tolist(), np.sqrt(np.diag(inverse)).tolist()
     return replace(race, order=of_race, order_error=race_error, shaft=of_shaft, shaft_error=shaft_error)
+
+
+SWING_NUMBERS = MethodNumbers("5-identify-explain.toml", "swing_sidebands")
+
+ENCODER_ERROR = "an error of the encoder that the data do not exclude"
+
+WHOLE_HALVES = 0.05
+"""An order this near, in half orders, to so many half orders from another is one."""
+
+MOST_ROWS = 128
+"""Speeds of a line that are looked at, evenly spread."""
+
+MOST_TIMES = 4
+"""Most turns of a swing by which a line lies beside its order: the n-th sideband is as large as the n-th power."""
+
+
+@dataclass(frozen=True, eq=False)
+class AngleSwings:
+    """Swings of the crank angle: of the shaft, by speed, and what may be left of an encoder's error.
+
+    ``shown`` (speeds, 1 + half orders) are the rising speed [rpm] and, behind it, peak amplitudes [rev] at 0.5, 1, 1.5
+    … times a turn; ``unseen_rev`` (1 + half orders,) amplitudes of which too few pulses show nothing; ``left_rev`` by
+    harmonic of the turn; ``proved`` says whether an encoder's error was taken out.
+    """
+
+    shown: Floats
+    unseen_rev: Floats
+    left_rev: dict[int, float]
+    proved: bool
+
+    @classmethod
+    def of(cls, frames: Sequence[xr.Dataset], orders: Sequence[AgreedOrder]) -> AngleSwings:
+        """What the ``frames`` (OrderFrames) of a test state of the angle by which its ``orders`` were found."""
+        recordings, whole = [], [2 * harmonic for harmonic in HARMONICS]
+        for spectra in frames:
+            swing = np.abs(swing_shown([spectra]))
+            swing[:, whole] -= np.minimum(swing[:, whole], spectra.attrs.get(TAKEN, 0.0))
+            recordings.append(swing)
+        shown = np.concatenate(recordings)
+        shown = shown[np.argsort(shown[:, 0])]
+        unseen, highest = np.zeros(shown.shape[1]), max(float(spectra["order"].max()) for spectra in frames)
+        if any(0.0 < float(spectra.attrs.get(LINES, 0.0)) < LINES_PER_HARMONIC for spectra in frames):
+            unseen = np.where(shown.any(axis=0), 0.0, _likely_swings(orders, len(unseen), highest))
+        proved = any(float(np.max(spectra.attrs.get(TAKEN, [0.0]))) > 0.0 for spectra in frames)
+        return cls(shown, unseen, left_of(frames), proved)
+
+    def at(self, half_orders: int, rpm: Floats, *, unseen: bool) -> Floats:
+        """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,), also where it is ``unseen``."""
+        if not 0 < half_orders < len(self.unseen_rev):
+            return np.zeros(len(rpm))
+        seen = np.interp(rpm, self.shown[:, 0], self.shown[:, half_orders]) if len(self.shown) else 0.0
+        return seen + np.full(len(rpm), unseen * self.unseen_rev[half_orders])
+
+
+def _likely_swings(orders: Sequence[AgreedOrder], count: int, highest: float) -> Floats:
+    """Swings [rev] (count,) by half order that the lines beside the order which they move most do not exclude.
+
+    A swing of the angle moves each order by its number times its amplitude: where the order of which that is largest
+    has no sidebands, one on either side up to the ``highest`` order looked at, no other has. No shaft swings by more
+    than a share of the speed.
+    """
+    lines = [(agreed.order, line) for agreed in orders for line in agreed.lines]
+    number, carrier = max(lines, key=lambda pair: pair[0] * float(pair[1].amplitude.max()))
+    own = [(order, math.sqrt(np.mean(line.amplitude**2))) for order, line in lines if line.channel == carrier.channel]
+    turned = np.pi * number * math.sqrt(np.mean(carrier.amplitude**2))
+    likely = np.zeros(count)
+    for at in range(1, SWING_NUMBERS.most_half_orders + 1):
+        places = [place for place in (number - 0.5 * at, number + 0.5 * at) if 0.0 < place <= highest]
+        sides = [
+            max((size for order, size in own if abs(order - place) < 0.5 * WHOLE_HALVES), default=0.0)
+            for place in places
+        ]
+        answered = SWING_NUMBERS.answer_ratio * min(sides, default=0.0) / turned
+        likely[at] = min(answered, SWING_NUMBERS.most_share / (np.pi * at))
+    return likely
+
+
+def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> dict[tuple[str, float], Cause]:
+    """Causes of lines of ``orders`` that are no larger than swings of the angle may make them, by channel and order.
+
+    A force at order n of a shaft that swings by ε sin(k θ) has sidebands π n ε at n ± k in time. The structure
+    responds to each at its own frequency, so that π n ε (H(n ± k) / H(n) - 1) times the order is left of them in the
+    angle of the shaft (H: the response), the first part alone where pulses do not show the swing; an error ε of the
+    encoder leaves π n ε. What the order itself has where the speed brings it to the frequency of the sideband tells the
+    response there. ``frames`` (OrderFrames) say how the angle swings.
+    """
+    causes: dict[tuple[str, float], Cause] = {}
+    if not orders:
+        return causes
+    swings = AngleSwings.of(frames, orders)
+    for agreed in orders:
+        of_order: dict[tuple[str, float], Cause] = {}
+        within = 0
+        for line in agreed.lines:
+            beside = [(other.order, item) for other in orders for item in other.lines if item.channel == line.channel]
+            others = [pair for pair in beside if pair[1] is not line]
+            given = [part for pair in others for part in _given(line, agreed.order, *pair, swings)]
+            if not given:
+                break
+            within += _within(line, given, speeds=max(len(item.amplitude) for _, item in beside))
+            most = max(given, key=lambda part: float(np.sum(part.amplitude)))
+            maker = ENCODER_ERROR if most.by_encoder else "a swing of the shaft"
+            evidence = f"no larger in most channels than what {maker} gives it beside order {most.carrier:g}"
+            of_order[line.channel, agreed.order] = (
+                Cause("sideband of an encoder", evidence, {"carrier": most.carrier})
+                if most.by_encoder and swings.proved
+                else replace(BY_A_SWING, evidence=evidence)
+            )
+        # an order is one thing in all channels
+        causes |= of_order if 2 * within >= len(agreed.lines) else {}
+    return causes
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """Largest ``amplitude`` (rows,) that the order ``carrier`` gives, by an encoder's error or a swing of the shaft.
+
+    ``known`` (rows,): whether the speeds are close enough to tell how the structure responds.
+    """
+
+    carrier: float
+    amplitude: Floats
+    known: Bools
+    by_encoder: bool
+
+
+def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swings: AngleSwings) -> list[_Given]:
+    """What ``swings`` give to ``line`` at ``order`` at most of its ``carrier`` at the order ``number``."""
+    if carrier.amplitude.max() < line.amplitude.max():
+        return []  # nothing is the sideband of what is weaker
+    rpm, parts = line.speed_rpm[_rows(line)], []
+    # what is not seen must not let two orders each be the sideband of the other
+    unseen = number * float(carrier.amplitude.max()) > order * float(line.amplitude.max())
+    for half_orders in (2.0 * abs(order - number), 2.0 * (order + number)):
+        at = round(half_orders)
+        if not at or abs(half_orders - at) > WHOLE_HALVES:
+            continue
+        divisors = [n for n in range(1, MOST_TIMES + 1) if at % n == 0]
+        swing = np.sum([(np.pi * number * swings.at(at // n, rpm, unseen=unseen)) ** n for n in divisors], axis=0)
+        left = swings.left_rev.get(at // 2, 0.0) if at % 2 == 0 else 0.0
+        if not swing.any() and not left:
+            continue
+        here, largest, known = _amplitudes(carrier, rpm, order / number)
+        parts.append(_Given(number, swing * (here + largest), known, by_encoder=False))
+        parts.append(_Given(number, np.pi * number * left * here, known, by_encoder=True))
+    return [part for part in parts if part.amplitude.any()]
+
+
+def _amplitudes(carrier: OrderLine, rpm: Floats, ratio: float) -> tuple[Floats, Floats, Bools]:
+    """Amplitude of ``carrier`` at ``rpm`` (rows,), the largest from there to ``ratio`` times that speed, if known.
+
+    The force behind it is taken to grow with the square of the speed. Where speeds are too coarse to tell what is
+    between them the largest of all stands for it; beyond their ends a natural frequency may lift it further.
+    """
+    rising = np.argsort(carrier.speed_rpm)
+    speed, amplitude, sought = carrier.speed_rpm[rising], carrier.amplitude[rising], ratio * rpm
+    gap = np.append(np.diff(speed), np.inf)[np.searchsorted(speed, sought, side="right") - 1]
+    inside = (sought >= speed[0]) & (sought <= speed[-1])
+    known = inside & (gap < SWING_NUMBERS.dense_share * sought)
+    reach = 1.0 + SWING_NUMBERS.dense_share
+    low, high = np.minimum(rpm, sought)[:, None] / reach, np.maximum(rpm, sought)[:, None] * reach
+    counts = ~known[:, None] | ((speed >= low) & (speed <= high))
+    scaled = amplitude * np.maximum(1.0, np.square(rpm[:, None] / speed))
+    largest = np.where(counts, scaled, 0.0).max(axis=1) * np.where(inside, 1.0, SWING_NUMBERS.beyond_lift)
+    return np.interp(rpm, speed, amplitude), largest, known
+
+
+def _within(line: OrderLine, given: Sequence[_Given], *, speeds: int) -> bool:
+    """Whether ``line`` is no larger than what is ``given`` to it where that is known, and at most of the ``speeds``.
+
+    At one speed its own scatter may lift it; where speeds are coarse a natural frequency between them may.
+    """
+    allowed = np.sum([part.amplitude for part in given], axis=0)
+    known = np.sum([part.amplitude * part.known for part in given], axis=0) >= 0.5 * allowed
+    scatter = np.nan_to_num(line.amplitude_error) * SWING_NUMBERS.scatter_sigmas
+    above = line.amplitude[_rows(line)] > (1.0 + SWING_NUMBERS.alike_share) * allowed + scatter[_rows(line)]
+    return not (above & known).any() and bool(np.mean(above) * len(line.amplitude) <= 0.5 * speeds)
+
+
+def _rows(line: OrderLine) -> slice:
+    """Rows of a ``line`` that are looked at: those of a sweep are many, and alike."""
+    return slice(None, None, -(-len(line.amplitude) // MOST_ROWS))

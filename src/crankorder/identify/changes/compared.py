@@ -36,10 +36,9 @@ from crankorder.comparison import (
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Findings, ModeFinding, TrialBalance
-from crankorder.identify.balance.trial_mass import trial_mass
 from crankorder.identify.changes.mass_change import (
     balance_changes,
-    mass_record,
+    trial_mass,
     unbalance_change,
     unbalance_record,
 )
@@ -52,8 +51,8 @@ from crankorder.identify.changes.order_changes import (
     order_changes,
     order_maps,
     orders_to_compare,
+    run_trends,
 )
-from crankorder.identify.changes.run_trends import run_trends
 from crankorder.identify.intervals import claimed, error_of, interval
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.records import finite, known
@@ -95,7 +94,6 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     records = tuple(unbalance_record(unbalance, changed=change.changed) for change, unbalance in unbalances)
     explaining = [unbalance for change, unbalance in unbalances if change.changed and unbalance.explains]
     added, unreadable = _masses_between(base, new)
-    masses = [mass_record(change, unbalance, added) for change, unbalance in unbalances if change.order == 1.0]
     trial, trial_reason = _trial_mass(base, new, added)
     order_records = tuple(_order_record(change, _explained(change, base, new)) for change in changes)
     mode_records = tuple(sorted(_with_claims(modes, q=q), key=lambda mode: mode.frequency_hz))
@@ -110,8 +108,7 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
         schema_version=SCHEMA_VERSION, base=base.name, new=new.name, runs=tuple(test.name for test in tests),
         false_discovery_rate=q, headline=(), cause=_explanation(order_records, mode_records, records, trends),
         speeds=speeds, channels=tuple(compared_channels), orders=order_records,
-        modes=mode_records, unbalance=records, masses=tuple(mass for mass in masses if mass),
-        trial_mass=trial, trial_mass_reason=unreadable or trial_reason,
+        modes=mode_records, unbalance=records, trial_mass=trial, trial_mass_reason=unreadable or trial_reason,
         balance=balance_changes(base.findings, new.findings, explaining), balance_reason=why_not,
         trend=trends, confounds=tuple(doubts),
     )  # fmt: skip
@@ -213,14 +210,13 @@ def _mode_shifts(base: Findings, new: Findings) -> list[ModeShift]:
         for at, to in zip(*like_speeds(*hz, within_rpm=np.inf), strict=True)
         if abs(hz[1][to] - hz[0][at]) <= max(_reach(lists[0][at]), _reach(lists[1][to]))
     ]
-    shifts = [_mode_shift(lists[0][at], lists[1][to]) for at, to in pairs]
     alone = (
         ModeShift(only_in="new" if side else "base", frequency_hz=mode.frequency_hz, p_value=None)
         for side, modes in enumerate(lists)
         for number, mode in enumerate(modes)
         if all(pair[side] != number for pair in pairs)
     )
-    return [*shifts, *alone]
+    return [*(_mode_shift(lists[0][at], lists[1][to]) for at, to in pairs), *alone]
 
 
 def _error_of(mode: ModeFinding, key: str) -> float:
@@ -454,10 +450,9 @@ def _firing(tests: Tests) -> list[Confound]:
 
 def _pressure(order_map: xr.Dataset) -> float:
     """Median over speeds of the cylinder pressures' total amplitude; 0 where there is none."""
-    channels = zip(order_map["quantity"].values.tolist(), order_map["unit"].values.tolist(), strict=True)
-    rows = [n for n, (quantity, unit) in enumerate(channels) if is_cylinder_pressure(quantity, unit)]
-    energy = order_map["amplitude"].values[rows] ** 2
-    return float(np.median(np.sqrt(np.nansum(energy, axis=2)))) if rows else 0.0
+    rows = list(map(is_cylinder_pressure, order_map["quantity"].values.tolist(), order_map["unit"].values.tolist()))
+    energy = order_map["amplitude"].values[np.array(rows, dtype=bool)] ** 2
+    return float(np.median(np.sqrt(np.nansum(energy, axis=2)))) if any(rows) else 0.0
 
 
 def _repeats(tests: Tests) -> list[Confound]:

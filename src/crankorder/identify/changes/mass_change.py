@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import cmath
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import xarray as xr
 from scipy.special import fdtrc, fdtri
 
-from crankorder.comparison import BalanceChange, MassRecord, MassResponse, UnbalanceRecord
+from crankorder.comparison import BalanceChange, UnbalanceRecord
+from crankorder.engine.definition import Engine
+from crankorder.engine.forces import Z
 from crankorder.engine.machine_parts import AddedMass
-from crankorder.findings import Balance, Findings
+from crankorder.findings import Balance, Findings, Influence, TrialBalance
+from crankorder.identify.balance.known_forces import force_per_kg
+from crankorder.identify.balance.record import AGREE_CHI_SQUARE, NO_ANGLE, added_words, size_and_angle, with_interval
+from crankorder.identify.balance.transfer_path import PER_M_S2, MeasuredOrders, measured_orders
 from crankorder.identify.changes.order_changes import OrderChange, welch
-from crankorder.identify.intervals import Z95, error_of, half_width, interval
-from crankorder.quantities import Complexes, Floats
-from crankorder.records import Ends, finite, known
+from crankorder.identify.intervals import Z95, error_of, half_width, interval, size_interval
+from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.records import finite, known
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-changes.toml", "mass_change")
@@ -98,14 +104,19 @@ def unbalance_change(change: OrderChange) -> Unbalance | None:
     freedom = float(np.sum(each_freedom))
     spare = 2.0 * (len(before) - 1)
     scatter = [max(1.0, chi2 / spare) if spare else 1.0 for chi2 in (misfit, law_misfit)]
-    # an estimated variance makes a square over it larger on average, by freedom / (freedom − 2)
-    fair = float(np.mean(np.maximum(each_freedom - 2.0, 0.5) / each_freedom))
-    fits = [float(fdtrc(spare, freedom, fair * chi2 / spare)) if spare else np.nan for chi2 in (misfit, law_misfit)]
+    fits = [_chance_of(chi2 / spare, spare, each_freedom) if spare else np.nan for chi2 in (misfit, law_misfit)]
     return Unbalance(
         change.channel, change.order, change.unit, speed,
         complex(factor), float(np.sqrt(variance * scatter[0])), freedom, fits[0],
         reference, complex(law), float(np.sqrt(1.0 / information * scatter[1])), fits[1],
     )  # fmt: skip
+
+
+def _chance_of(mean_square: float, spare: float, freedom: Floats) -> float:
+    """Chance of a larger mean square of ``spare`` residuals over variances, each estimated with its ``freedom``."""
+    # an estimated variance makes a square over it larger on average, by freedom / (freedom − 2)
+    fair = float(np.mean(np.maximum(freedom - 2.0, 0.5) / freedom))
+    return float(fdtrc(spare, float(np.sum(freedom)), fair * mean_square))
 
 
 def _slope(before: Complexes, after: Complexes, error: Floats, error2: Floats) -> tuple[complex, float, float]:
@@ -123,11 +134,6 @@ def _slope(before: Complexes, after: Complexes, error: Floats, error2: Floats) -
     total = error2**2 + abs(factor) ** 2 * error**2
     misfit = float(np.sum(np.abs(after - factor * before) ** 2 / total))
     return factor, misfit, float(1.0 / np.sum(np.abs(true) ** 2 / total))
-
-
-def size_interval(value: complex, half: float) -> Ends:
-    """95 % interval of the size of a phasor ``value``, from 0, where ``half`` is its half width."""
-    return max(abs(value) - half, 0.0), abs(value) + half
 
 
 def unbalance_record(unbalance: Unbalance, *, changed: bool) -> UnbalanceRecord:
@@ -149,44 +155,6 @@ def unbalance_record(unbalance: Unbalance, *, changed: bool) -> UnbalanceRecord:
 
 def _degrees(value: complex) -> float:
     return float(np.degrees(cmath.phase(value)))
-
-
-def mass_record(change: OrderChange, unbalance: Unbalance, masses: Sequence[AddedMass]) -> MassRecord | None:
-    """Unbalance before and after ``masses`` were added, by their influence on the order; angles from where they sit.
-
-    Parameters
-    ----------
-    change : the order's change
-    unbalance : what became of it, from :func:`unbalance_change`
-    masses : masses put on; told in grams at their radius where all sit at one, in g·mm where they do not
-
-    With U before and U + added after, seen through one path, factor = 1 + added / U (influence coefficients: Goodman
-    1964, Trans. ASME B 86, 273). None where the factor cannot be told from 1, where the masses add up to none, and of
-    masses on the crank and on a piston together.
-    """
-    at_one_radius = len({mass.radius_mm for mass in masses}) == 1
-    arms = [1.0 if at_one_radius else mass.radius_mm or 0.0 for mass in masses]
-    turned = (cmath.rect(arm * mass.mass_g, np.radians(mass.angle_deg)) for arm, mass in zip(arms, masses, strict=True))
-    added, apart = sum(turned, 0j), unbalance.factor - 1.0
-    on_one_part = len({mass.on for mass in masses}) == 1
-    if not on_one_part or not added or abs(apart) <= NUMBERS.clear_sigmas * unbalance.factor_error:
-        return None
-    before = added / apart
-    after = unbalance.factor * before
-    half = abs(added) * unbalance.half / abs(apart) ** 2
-    error, _ = welch(change.base.vector_error, change.base.freedom, change.new.vector_error, change.new.freedom)
-    responses = zip(change.base_rpm, change.vector_change / added, Z95 * error / abs(added), strict=True)
-    return MassRecord(
-        channel=change.channel, unit="g" if at_one_radius else "g·mm", response_unit=change.unit, added=abs(added),
-        before=abs(before), before_ci95=size_interval(before, half),
-        before_angle_deg=_degrees(before) if half < abs(before) else None,
-        after=abs(after), after_ci95=size_interval(after, half),
-        after_angle_deg=_degrees(after) if half < abs(after) else None,
-        response_per_unit=tuple(
-            MassResponse(speed_rpm=finite(rpm), response=finite(abs(value)), response_ci95=size_interval(value, reach))
-            for rpm, value, reach in responses
-        ),
-    )  # fmt: skip
 
 
 class Estimate(NamedTuple):
@@ -272,3 +240,211 @@ def _balance_change(
         quantity=quantity, base=base, new=new, change=change.value, change_ci95=(low, high),
         changed=not low <= 0.0 <= high, by_ratio_of_orders=orders,
     )  # fmt: skip
+
+
+TRIAL_NUMBERS = MethodNumbers("5-identify-balance.toml", "trial_mass")
+
+VIBRATION = ("accel", "veloc", "displace", "vibration", "force")
+"""Quantities in which an unbalance shows."""
+STEADY_REFERENCES = ("tdc", "index", "pulse")
+
+
+def trial_mass(
+    base_map: xr.Dataset, new_map: xr.Dataset, *, added: tuple[AddedMass, ...], engine: Engine | None
+) -> tuple[TrialBalance | None, str]:
+    """Record ``balance`` of the test ``base_map`` by what the masses ``added`` changed in ``new_map``; or None and why.
+
+    Both are OrderMaps of the same machine with the same channels. All of ``added`` stands on the crank (the residual is
+    then told as rotating unbalance in its plane, from where angles of ``added`` count) or all on the piston of the one
+    cylinder of ``engine`` (as grams along it, orders 1 and 2). What is sought is the complex multiple of the added mass
+    that explains the base at every channel and speed at once; both tests' noise counts. Where no one multiple explains
+    it, the residual does not act where the added mass does.
+    Source: influence coefficients (Goodman 1964), here by total least squares over channels and speeds.
+    """
+    kinds = {mass.on for mass in added}
+    if not added:
+        return None, "no mass was added: state it under [[added_masses]] of the test that has it"
+    if len(kinds) > 1:
+        return None, "masses were added on the crank and on a piston at once: their effects cannot be told apart"
+    references = {str(order_map.attrs.get("phase_reference", "none")) for order_map in (base_map, new_map)}
+    if len(references) > 1 or not references <= set(STEADY_REFERENCES):
+        return None, "the two tests have no mark of the shaft in common, so their phases cannot be compared"
+    on_piston = kinds == {"piston"}
+    if on_piston and (engine is None or len(engine.cylinders) != 1 or engine.largest_piston_kg == 0):
+        return None, "a mass on a piston tells a residual of an engine of one cylinder alone"
+    total = _unbalance_of(added)
+    if abs(total) < 1e-9:
+        return None, "the added masses cancel one another"
+    ratio = _multiple(base_map, new_map, 1)
+    if isinstance(ratio, str):
+        return None, ratio
+    radii = {mass.radius_mm for mass in added}
+    words = added_words(added).partition(": ")[2]
+    evidence = (
+        f"{words} changed order 1 by {ratio.change_over_noise:.0f} times its error at {ratio.n_speeds} speeds; one "
+        f"residual explains all channels and speeds but for {100 * ratio.missed:.0f} %"
+    )
+    record = TrialBalance(
+        source="trial mass",
+        orders_used=(1,),
+        crank_radius_mm=None if engine is None or engine.largest_piston_kg == 0 else 1e3 * engine.crank_radius_m,
+        radius_mm=next(iter(radii)) if len(radii) == 1 else None,
+        influence=ratio.influence_per(total),
+        evidence=evidence,
+    )
+    if on_piston and engine is not None:
+        return _of_piston(record, ratio, total.real, engine, _multiple(base_map, new_map, 2)), ""
+    return _of_crank(record, ratio, total), ""
+
+
+def _unbalance_of(masses: Sequence[AddedMass]) -> complex:
+    """Unbalance (g·mm) of ``masses`` on the crank, or their mass (g) on a piston."""
+    arms = (1.0 if mass.radius_mm is None else mass.radius_mm for mass in masses)
+    turned = (cmath.rect(arm * m.mass_g, np.radians(m.angle_deg)) for arm, m in zip(arms, masses, strict=True))
+    return sum(turned, 0j)
+
+
+class _Multiple:
+    """Complex multiple of the added mass that the base has, with its covariance (2, 2), and the changes it rests on."""
+
+    def __init__(
+        self, value: complex, covariance: Floats, base: MeasuredOrders, change: Complexes, missed: float
+    ) -> None:
+        self.value, self.covariance, self.missed = value, covariance, missed
+        self.base, self.change = base, change
+        self.usable: Bools = np.isfinite(base.error)
+        self.n_speeds = int(np.count_nonzero(self.usable.any(axis=0)))
+        self.freedom = self.n_speeds * float(np.mean(base.freedom[self.usable])) if self.usable.any() else 1.0
+        ratio = np.abs(change[self.usable]) / base.error[self.usable]
+        self.change_over_noise = float(np.median(ratio)) if ratio.size else 0.0
+
+    def influence_per(self, total: complex) -> tuple[Influence, ...]:
+        """Change of amplitude (m/s², else the channel's unit) per unit of the added mass, by channel and speed."""
+        return tuple(
+            Influence(
+                channel=name,
+                speed_rpm=float(rpm),
+                response_per_unit=float(abs(self.change[c, s] / total)),
+                phase_deg=float(np.degrees(np.angle(self.change[c, s] / total))),
+            )
+            for c, name in enumerate(self.base.channels)
+            for s, rpm in enumerate(self.base.rpm_of_row)
+            if self.usable[c, s]
+        )
+
+
+def _in_any_unit(order_map: xr.Dataset) -> xr.Dataset:
+    """``order_map`` with its own unit taken for m/s² where none of its vibration channels has one of acceleration.
+
+    A multiple of the added mass needs no scale: converter counts or a velocity serve as well.
+    """
+    quantity = [str(name).casefold() for name in order_map["quantity"].values.tolist()]
+    unit = [str(name) for name in order_map["unit"].values.tolist()]
+    if any("accel" in what and name in PER_M_S2 for what, name in zip(quantity, unit, strict=True)):
+        return order_map
+    kept = [c for c, what in enumerate(quantity) if any(word in what for word in VIBRATION)]
+    taken = order_map.isel(channel=kept)
+    unit_of, quantity_of = ["m/s2"] * len(kept), ["acceleration"] * len(kept)
+    return taken.assign_coords(unit=("channel", unit_of), quantity=("channel", quantity_of))
+
+
+def _multiple(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _Multiple | str:
+    maps = [_in_any_unit(order_map) for order_map in (base_map, new_map)]
+    if not all(order_map.sizes["channel"] and order_map.sizes["speed"] for order_map in maps):
+        return "the tests have no vibration channel, or no speed"
+    base, new = (measured_orders(order_map, (order,)) for order_map in maps)
+    if order not in base.orders or order not in new.orders:
+        return f"the order maps have no bin at order {order}"
+    if not base.channels or base.channels != new.channels:
+        return "the two tests do not have the same accelerometers"
+    nearest = np.abs(base.rpm_of_row[:, None] - new.rpm_of_row).argmin(axis=1)
+    here = np.flatnonzero(np.abs(new.rpm_of_row[nearest] / base.rpm_of_row - 1) <= TRIAL_NUMBERS.same_speed_share)
+    if not here.size:
+        return "the two tests have no speed in common"
+    unpaired = np.ones(base.rpm_of_row.size, dtype=bool)
+    unpaired[here] = False
+    base = base.without(unpaired)
+    after, error = np.zeros_like(base.amplitude), np.full(base.error.shape, np.inf)
+    after[:, here], error[:, here] = new.amplitude[:, nearest[here]], new.steady_error[:, nearest[here]]
+    return _solved(base.without(~np.isfinite(error).all(axis=0)), after, error)
+
+
+def _solved(base: MeasuredOrders, after: Complexes, error: Floats) -> _Multiple | str:
+    """Multiple u = 1 / (factor − 1), by the factor of unbalance that explains all channels and speeds at once."""
+    usable = np.isfinite(base.error) & np.isfinite(error)
+    y, z = base.amplitude[usable], after[usable]
+    y_error, z_error = base.steady_error[usable], error[usable]
+    change = after - base.amplitude
+
+    if (np.abs(change[usable]) ** 2).sum() < 9 * 2 * (y_error**2 + z_error**2).sum():
+        return "the added mass changed nothing that stands clear of the noise: use a heavier one"
+    factor, misfit, _ = _slope(y, z, y_error, z_error)
+    value, n = 1.0 / (factor - 1.0), int(np.count_nonzero(usable))
+    variance = (abs(1 + value) * y_error) ** 2 + (abs(value) * z_error) ** 2
+    chi_square = misfit / max(1, 2 * n - 2)
+    freedom = np.array([base.freedom[of_speed, k].mean() for k, of_speed in enumerate(usable.T) if of_speed.any()])
+    # channels are counted as telling the same
+    sound = _chance_of(chi_square, max(2.0 * len(freedom) - 2.0, 2.0), freedom) >= NUMBERS.fit_chance
+    size = (np.abs(y * (1 + value)) ** 2 / variance).sum()
+    missed = float(np.sqrt(0.0 if sound else (misfit - 2 * n) / max(float(size), 1e-300)))
+    if missed > TRIAL_NUMBERS.largest_misfit_share:
+        return (
+            f"the residual does not act where the mass was added: no multiple of it explains order {base.orders[0]}, "
+            f"{100 * missed:.0f} % stay; add one elsewhere (on the piston, in another plane)"
+        )
+    left = (y * (1 + value) - value * z) / np.sqrt(variance)
+    grows = y_error**2 + (y_error**2 + z_error**2) * value  # half the slopes of the variance by both parts of the value
+    slopes = np.stack(
+        [
+            (y - z) / np.sqrt(variance) - left * grows.real / variance,
+            1j * (y - z) / np.sqrt(variance) - left * grows.imag / variance,
+        ]
+    )
+    slope = np.zeros((2, *base.error.shape), dtype=np.complex128)
+    slope[:, usable] = slopes
+    bread = np.linalg.pinv((slopes.conj() @ slopes.T).real)
+    filling = np.einsum("pcr,rcd,qdr->pq", slope.conj(), base.correlation, slope).real
+    each = np.square(np.abs(slopes)).sum(axis=0)
+    share, unsure = each / each.sum(), base.own_share[usable] ** 2 / base.freedom[usable]
+    # for weights that were estimated from the data: Meier (1953), Biometrics 9, 59
+    wider = 1.0 + 4.0 * float(np.sum(share * (1.0 - share) * unsure))
+    covariance = wider * (1.0 if sound else chi_square) * bread @ filling @ bread
+    covariance += missed**2 * abs(value) ** 2 * np.eye(2)
+    return _Multiple(value, covariance, base, change, missed)
+
+
+def _of_crank(record: TrialBalance, ratio: _Multiple, total: complex) -> TrialBalance:
+    turn = np.array([[total.real, -total.imag], [total.imag, total.real]])
+    covariance = turn @ ratio.covariance @ turn.T
+    for name, angle, more in (("rotating", "angle_deg", 0.0), ("after", "angle_after_deg", 1.0)):
+        size, value = f"residual_{name}_gmm", (ratio.value + more) * total
+        record = size_and_angle(record, size, angle, value, covariance, freedom=ratio.freedom)
+    pistons = "a mass on the crank tells nothing about masses that go up and down: add one on the piston"
+    undecided = dict.fromkeys(("residual_reciprocating_g", "residual_second_order_g", "along_g"), pistons)
+    undecided["reverse_gmm"] = "a mass on the crank turns forwards: all is taken to turn with the shaft"
+    if record.angle_deg is None:
+        undecided["angle_deg"] = NO_ANGLE
+    return replace(record, not_decided=undecided)
+
+
+def _of_piston(
+    record: TrialBalance, ratio: _Multiple, mass_g: float, engine: Engine, second: _Multiple | str
+) -> TrialBalance:
+    per_g = abs(force_per_kg(engine.pistons_alone, 1, Z, along_only=True))
+    half = np.abs(mass_g) * half_width(ratio.freedom) * np.sqrt(np.diag(ratio.covariance))
+    record = with_interval(record, "along_g", per_g * mass_g * ratio.value.real, per_g * float(half[0]))
+    record = with_interval(record, "along_after_g", per_g * mass_g * (ratio.value.real + 1.0), per_g * float(half[0]))
+    record = with_interval(record, "along_quadrature_g", per_g * mass_g * ratio.value.imag, per_g * float(half[1]))
+    turning = "a mass on the piston acts along the cylinder alone: add one on the crank"
+    undecided = dict.fromkeys(("residual_rotating_gmm", "across_g", "reverse_gmm"), turning)
+    alike = "rotating and reciprocating mass act alike along the cylinder at order 1"
+    undecided["residual_reciprocating_g"] = f"{alike}, and no residual of the second order tells them apart"
+    if isinstance(second, str):
+        return replace(record, not_decided=undecided | {"residual_second_order_g": second})
+    wide = abs(mass_g) * half_width(second.freedom) * float(np.sqrt(second.covariance[0, 0]))
+    record = with_interval(record, "residual_second_order_g", mass_g * second.value.real, wide)
+    apart = np.array([(ratio.value - second.value).real, (ratio.value - second.value).imag])
+    if apart @ np.linalg.pinv(ratio.covariance + second.covariance) @ apart <= AGREE_CHI_SQUARE:
+        record = with_interval(record, "residual_reciprocating_g", mass_g * ratio.value.real, float(half[0]))
+        del undecided["residual_reciprocating_g"]
+    return replace(record, orders_used=(1, 2), not_decided=undecided)

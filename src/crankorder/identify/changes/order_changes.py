@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.special import fdtrc, stdtr
 
+from crankorder.comparison import LineKind, Trend
 from crankorder.findings import Findings, OrderFinding
-from crankorder.identify.intervals import claimed, half_width, half_widths, simes
+from crankorder.identify.bearings.envelope_lines import Spectra, spectra_of
+from crankorder.identify.intervals import (
+    claimed,
+    error_of,
+    half_width,
+    half_widths,
+    known_freedom,
+    positive_interval,
+    simes,
+)
 from crankorder.orders.intervals import LOCATED, WHOLE
 from crankorder.quantities import Bools, Complexes, Floats, Ints
-from crankorder.records import Document, known
+from crankorder.records import Document, Ends, known
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-changes.toml", "order_changes")
+RUN_NUMBERS = MethodNumbers("5-identify-changes.toml", "run_trends")
+TREND_NUMBERS = MethodNumbers("5-identify-bearings.toml", "trend")
 
 ALWAYS = (1.0, 2.0)
 """Orders that are compared whether or not a test found them: where a change of mass shows."""
@@ -63,6 +76,12 @@ class Line:
     vector: Complexes
     vector_error: Floats
     noise: Floats | float = 0.0
+
+    @classmethod
+    def without_phasor(cls, amplitude: Floats, error: Floats, freedom: Floats, *, noise: Floats) -> Line:
+        """A line of that ``amplitude``, its ``error``, ``freedom`` and ``noise`` (speeds,) alone."""
+        nothing = np.full(len(amplitude), np.nan)
+        return cls(amplitude, error, freedom, nothing.astype(np.complex128), nothing, noise)
 
     @property
     def size(self) -> Floats:
@@ -181,13 +200,12 @@ def line_of(order_map: xr.Dataset, channel: str, order: float, at: Ints, *, lock
         table = order_map[name].transpose("channel", "speed", "order").values[number][at]
         return np.asarray(table[:, bins], dtype=np.float64)
 
-    nothing = np.full(len(at), np.nan)
     if not locked or not np.isfinite(values("coherent_amplitude")).any():
         return _by_energy(order_map, values, peak, at)
     amplitude, error = values("coherent_amplitude"), values("standard_error")
     freedom = np.maximum(np.nan_to_num(values("degrees_of_freedom"), nan=1.0), 1.0)
     if not phases:
-        return Line(amplitude, error, freedom, nothing.astype(np.complex128), nothing, error)
+        return Line.without_phasor(amplitude, error, freedom, noise=error)
     half = np.radians(values("phase_ci95"))
     across = np.where(half < np.pi / 2, amplitude * half / half_widths(freedom), 0.0)
     vector = np.asarray(amplitude * np.exp(1j * np.radians(values("phase"))), dtype=np.complex128)
@@ -203,17 +221,10 @@ def _by_energy(order_map: xr.Dataset, values: Any, peak: int, at: Ints) -> Line:
     # variance of a frame's energy over its square; noise has 1, a steady line 0; never trusted below one in frames
     spread = np.clip(np.nan_to_num(values("spectral_kurtosis"), nan=0.0) + 1.0, 1.0 / frames, None)
     error = 0.5 * amplitude * np.sqrt(spread / frames)
-    nothing = np.full(len(at), np.nan)
-    noise = _noise_beside(values, peak, order_map.sizes["order"]) * np.sqrt(bins.stop - bins.start) / np.sqrt(lost)
-    return Line(amplitude, error, np.maximum(frames - 1.0, 1.0), nothing.astype(np.complex128), nothing, noise)
-
-
-def _noise_beside(values: Any, peak: int, n_bins: int) -> Floats:
-    """Amplitude (speeds,) of the noise in a bin, from those on both sides of the line; 0 where there are none."""
-    beside = [k for k in (*range(peak - 6, peak - 2), *range(peak + 3, peak + 7)) if 0 < k < n_bins]
-    if not beside:
-        return np.zeros(len(values("amplitude", slice(peak, peak + 1))))
-    return np.asarray(np.nan_to_num(np.nanmedian(values("amplitude", beside), axis=1)))
+    beside = [k for k in (*range(peak - 6, peak - 2), *range(peak + 3, peak + 7)) if 0 < k < order_map.sizes["order"]]
+    level = np.nan_to_num(np.nanmedian(values("amplitude", beside), axis=1)) if beside else np.zeros(len(at))
+    noise = level * np.sqrt(bins.stop - bins.start) / np.sqrt(lost)
+    return Line.without_phasor(amplitude, error, np.maximum(frames - 1.0, 1.0), noise=noise)
 
 
 def order_changes(
@@ -393,3 +404,196 @@ def mean_ratio(base: Line, new: Line) -> MeanRatio:
     misfit = float(np.sum(fair * weight * (values - mean) ** 2))
     alike = float(fdtrc(spare, np.sum(freedom), misfit / spare)) if spare else np.nan
     return MeanRatio(mean * TO_DB, ((mean - half) * TO_DB, (mean + half) * TO_DB), p_value, alike)
+
+
+class RunAmplitudes(NamedTuple):
+    """Amplitudes (runs,) of one line in repeated runs, their standard errors and the degrees of freedom of these.
+
+    They are NaN where a run does not show the line.
+    """
+
+    amplitudes: Floats
+    errors: Floats
+    freedom: float = math.inf
+
+
+class Growth(NamedTuple):
+    """Share by which an amplitude grows per run, its 95 % interval, and the chance of such growth where there is none.
+
+    The chance is one-sided: near 1 for an amplitude that falls.
+    """
+
+    per_run: float
+    ci95: Ends
+    p_value: float
+
+
+def run_trends(
+    tests: Sequence[Tested], orders: Sequence[tuple[float, bool]], channels: Sequence[str], *, within_rpm: float
+) -> list[Trend]:
+    """How each line grows from run to run, no claim made yet; of two runs the bearing lines alone.
+
+    Parameters
+    ----------
+    tests : the runs, in time order; orders are followed where all have an OrderMap
+    orders : orders with whether they are locked
+    channels : names that all runs have in the same unit
+    within_rpm : largest difference of speeds that are compared, min-1
+    """
+    maps = order_maps(tests) if len(tests) >= RUN_NUMBERS.least_runs else []
+    trends = _order_trends(maps, orders, channels, within_rpm) if maps else []
+    return [trend for trend in (*trends, *_bearing_trends(tests, channels)) if trend]
+
+
+def _trend(line: str, kind: LineKind, channel: str, order: float, runs: RunAmplitudes) -> Trend | None:
+    """Trend of a line over the ``runs``; None where one of them does not show it."""
+    sizes, errors, freedom = runs
+    if not (len(sizes) and np.all(sizes > 0) and np.all(errors >= 0)):
+        return None
+    growth, half = growth_over(runs), half_width(freedom)
+    return Trend(
+        line=line, kind=kind, channel=channel, order=order, amplitude=tuple(sizes.tolist()),
+        amplitude_ci95=tuple(positive_interval(float(a), half * float(e)) for a, e in zip(sizes, errors, strict=True)),
+        growth_per_run=growth.per_run, growth_per_run_ci95=growth.ci95,
+        p_value=min(1.0, 2.0 * min(growth.p_value, 1.0 - growth.p_value)),
+    )  # fmt: skip
+
+
+def _together(maps: Sequence[xr.Dataset], within_rpm: float) -> list[Ints]:
+    """Positions, in each run, of the speeds that all runs have."""
+    first = maps[0]["speed"].values
+    kept = np.arange(len(first))
+    matches = []
+    for order_map in maps[1:]:
+        at, to = like_speeds(first, order_map["speed"].values, within_rpm=within_rpm)
+        matches.append(dict(zip(at.tolist(), to.tolist(), strict=True)))
+        kept = kept[np.isin(kept, at)]
+    return [kept, *(np.array([match[k] for k in kept.tolist()], dtype=np.int64) for match in matches)]
+
+
+def _order_trends(
+    maps: Sequence[xr.Dataset], orders: Sequence[tuple[float, bool]], channels: Sequence[str], within_rpm: float
+) -> list[Trend | None]:
+    at = _together(maps, within_rpm)
+    trends = []
+    for channel in channels if len(at[0]) else ():
+        for order, locked in orders:
+            lines = [line_of(m, channel, order, k, locked=locked, phases=False) for m, k in zip(maps, at, strict=True)]
+            clear = np.all([line.amplitude > 2.0 * line.error for line in lines], axis=0)
+            if clear.any():  # geometric means over the speeds
+                sizes, errors = np.array([(line.size[clear], line.error[clear]) for line in lines]).swapaxes(0, 1)
+                means = np.exp(np.log(sizes).mean(axis=1))
+                spread = np.sqrt(np.square(errors / sizes).sum(axis=1)) / sizes.shape[1]
+                freedom = float(np.sum([line.freedom[clear].sum() for line in lines]) / len(lines))
+                runs = RunAmplitudes(means, means * spread, max(freedom, 1.0))
+                trends.append(_trend(f"order {order:g}", "order", channel, order, runs))
+    return trends
+
+
+_LineKey = tuple[str, str, str, str]
+"""Name of the bearing, line, where it is seen, channel."""
+
+
+def _bearing_trends(tests: Sequence[Tested], channels: Sequence[str]) -> list[Trend | None]:
+    """Bearing lines that any run names: from the envelope maps where all runs have one, else from the findings."""
+    lines: dict[_LineKey, float] = {}
+    recorded: list[dict[_LineKey, tuple[float, float]]] = []
+    for test in tests:
+        recorded.append({})
+        for record in test.findings.bearings:
+            if record.channel is not None and record.channel in channels:
+                key: _LineKey = record.name, record.line, record.seen_in or "vibration", record.channel
+                lines.setdefault(key, record.order)
+                if ends := known(record.amplitude_ci95):
+                    recorded[-1].setdefault(key, (record.size, error_of(record.size, ends)))
+    maps = [test.maps["envelope_map"] for test in tests if "envelope_map" in test.maps]
+    trends, followed = [], set()
+    for key, order in lines.items():
+        name, line, seen_in, channel = key
+        if seen_in != "envelope":
+            columns = np.array([sizes.get(key, (np.nan, np.nan)) for sizes in recorded]).T
+            trends.append(_trend(f"{name} {line}", "bearing", channel, order, RunAmplitudes(columns[0], columns[1])))
+        elif len(maps) == len(tests) and (name, line) not in followed:
+            followed.add((name, line))
+            runs = run_amplitudes(maps, order=order)
+            trends.append(_trend(f"{name} {line}", "bearing, envelope", "", order, runs))
+    return trends
+
+
+def growth_over(runs: RunAmplitudes) -> Growth:
+    """Growth of the amplitudes over the ``runs`` of one test, two or more, by their errors; amplitudes are above 0.
+
+    A straight line through the logarithms, weighted by their errors; from three runs on these are widened where the
+    runs scatter more than they say, and the interval is Student's.
+    Source: MSU thesis: re-run the same test, growth means failing.
+    """
+    sizes, errors = (np.asarray(values, dtype=np.float64) for values in (runs.amplitudes, runs.errors))
+    logs, run = np.log(sizes), np.arange(len(sizes), dtype=np.float64)
+    weight = np.maximum(errors / sizes, 1e-9) ** -2.0
+    beside = run - (weight * run).sum() / weight.sum()
+    variance = 1.0 / float((weight * beside**2).sum())
+    slope, freedom = float((weight * beside * logs).sum()) * variance, runs.freedom
+    if len(run) > 2:
+        rest = logs - (weight * logs).sum() / weight.sum() - slope * beside
+        scatter = float((weight * rest**2).sum()) / (len(run) - 2)
+        if scatter > 1.0:
+            variance, freedom = variance * scatter, len(run) - 2.0
+    error = math.sqrt(variance)
+    half = error * half_width(freedom, level=1.0 - TREND_NUMBERS.no_change_chance)
+    growth, low, high = (math.expm1(min(value, 700.0)) for value in (slope, slope - half, slope + half))
+    return Growth(growth, (low, high), float(stdtr(known_freedom(freedom), -slope / error)))
+
+
+def run_amplitudes(envelopes: Sequence[xr.Dataset], *, order: float) -> RunAmplitudes:
+    """Amplitudes of the line at ``order`` in the EnvelopeMaps of repeated runs, as shares of their mean.
+
+    They are taken over all channels and speeds that all ``envelopes`` hold and in which the line stands clear in at
+    least one run; none where there is no such. The amplitude of a run without the line is that of half its noise.
+    Errors are those of the noise, widened where speeds disagree on how the runs compare, for strikes vary by
+    themselves, and where the bands of demodulation differ from run to run.
+    """
+    none = RunAmplitudes(np.zeros(0), np.zeros(0))
+    spectra = [spectra_of(envelope) for envelope in envelopes if envelope.sizes["order"] > 1]
+    if len(spectra) < len(envelopes) or not spectra or any(s.count.shape != spectra[0].count.shape for s in spectra):
+        return none
+    ratio, power, count = (np.array(values) for values in zip(*(_at(of_run, order) for of_run in spectra), strict=True))
+    clear = ratio.max(axis=0) >= TREND_NUMBERS.least_ratio
+    if not clear.any():
+        return none
+    low, high = (np.array([envelope[end].values for envelope in envelopes]) for end in ("band_low", "band_high"))
+    other = (np.abs(low - low[0]) > 0.02 * high) | (np.abs(high - high[0]) > 0.02 * high)
+    own = np.maximum(ratio - 1.0, 0.5)
+    logs = 0.25 * np.log(power / ratio * own)
+    variance = (2.0 * ratio + 1.0) / (np.maximum(count, 1.0) * (4.0 * own) ** 2)
+    variance += TREND_NUMBERS.band_change_share**2 * other
+    # cells differ in level: each is taken beside its own mean over the runs
+    beside = logs - logs.mean(axis=0)
+    weight = np.where(clear, 1.0 / variance.mean(axis=0), 0.0)
+    mean = (beside * weight).sum(axis=(1, 2)) / weight.sum()
+    error = np.sqrt((variance * weight**2).sum(axis=(1, 2))) / weight.sum()
+    spread, freedom = _disagreement(beside, weight, mean)
+    widened = error * math.sqrt(max(spread, 1.0))
+    return RunAmplitudes(np.exp(mean), np.exp(mean) * widened, freedom if spread > 1.0 else math.inf)
+
+
+def _disagreement(beside: Floats, weight: Floats, mean: Floats) -> tuple[float, float]:
+    """By how much more than their noise the speeds disagree on the runs (ratio of variances), and degrees of freedom.
+
+    ``beside`` (run, channel, speed) are logarithms beside their means over the runs, ``mean`` (runs,) those over the
+    rest; channels of one speed see the same strikes and count as one.
+    """
+    of_speed = weight.sum(axis=0)
+    seen = of_speed > 0.0
+    freedom = (int(seen.sum()) - 1) * (len(mean) - 1)
+    if freedom < 1:
+        return 1.0, math.inf
+    by_speed = (beside * weight).sum(axis=1)[:, seen] / of_speed[seen]
+    return float((of_speed[seen] * (by_speed - mean[:, None]) ** 2).sum()) / freedom, float(freedom)
+
+
+def _at(spectra: Spectra, order: float) -> tuple[Floats, Floats, Floats]:
+    """Power ratio, power of the line near ``order`` and independent spectra, each (channel, speed)."""
+    near = spectra.near(order)
+    at = spectra.ratio[:, :, near].argmax(axis=2)[:, :, None]
+    ratio, size = (np.take_along_axis(of[:, :, near], at, axis=2)[:, :, 0] for of in (spectra.ratio, spectra.amplitude))
+    return np.maximum(ratio, 1e-9), np.maximum(np.nan_to_num(size**4), 1e-300), spectra.count

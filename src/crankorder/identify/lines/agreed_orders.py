@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.cause import alike_speeds
 from crankorder.identify.found import UNRESOLVED, AgreedOrder, AgreedOrders, Doubt, OrderLine
-from crankorder.identify.intervals import half_width, root
+from crankorder.identify.intervals import excess_scatter, half_width
 from crankorder.identify.lines.line_evidence import LOBE_BINS
 from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.line_phasors import (
@@ -34,10 +34,11 @@ from crankorder.identify.lines.line_phasors import (
 )
 from crankorder.identify.lines.mains import multiples_near
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
-from crankorder.identify.lines.order_lines import SWELLS, longer_frames
+from crankorder.identify.lines.order_lines import ONE_SPEED, SWELLS, longer_frames
 from crankorder.identify.lines.order_lines import SWEPT_NUMBERS as SWEPT_ORDERS
-from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SOLVED, close_lines, lines_at
+from crankorder.identify.lines.several_orders import SOLVED, close_lines, lines_of_sightings
 from crankorder.identify.lines.zoom import Course, Zoomed
+from crankorder.orders.joint_lines import hann_lobe
 from crankorder.orders.true_angle import ERROR
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -171,7 +172,7 @@ def orders_agreed(
         proven = all(proves_speed(proof, revs_per_cycle=test.revs_per_cycle) for proof in numbers)
         test = replace(test, speed_is_sure=proven)
     agreed = sorted((_named(unnamed, test) for unnamed in distinct), key=lambda named: named.order)
-    return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
+    return tuple(_without_twins(agreed, min(0.5 * test.resolution, settings.order_match)))
 
 
 def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySettings) -> list[_Unnamed]:
@@ -189,13 +190,13 @@ def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySet
     places = close_lines(test.recordings, test.order_map, orders_between, doubtful, mains_hz=settings.mains_hz)
     for close in places:
         doubts = (Doubt("close lines", f"{len(close.solved)} {SOLVED}"),)
-        beyond = [unnamed for unnamed in orders if not close.low <= unnamed.number.order <= close.high]
-        orders = beyond + [
-            _Unnamed(number, lines, doubts)
-            for line in close.solved
-            if (lines := lines_at(line, test.order_map))
-            for number in [_Number(line.order, line.order_error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev)]
-        ]
+        orders = [unnamed for unnamed in orders if not close.low <= unnamed.number.order <= close.high]
+        for line in close.solved:
+            lines = lines_of_sightings([(close.held, line)], (line.order, line.order_error), test.order_map)
+            freedom, span_rev = line.degrees_of_freedom, close.held.span_rev
+            number = _Number(line.order, line.order_error, freedom, True, parted_rev=span_rev)
+            if lines:
+                orders.append(_Unnamed(number, [replace(of, doubts=(ONE_SPEED,)) for of in lines], doubts))
     return orders
 
 
@@ -205,9 +206,8 @@ def _may_be_mains(unnamed: _Unnamed, settings: IdentifySettings) -> bool:
     A motor's stated speed is often that of the field, whose multiples the mains make however the shaft turns.
     """
     speeds = np.concatenate([line.speed_rpm for line in unnamed.lines])
-    if not alike_speeds(speeds):
-        return False
-    return bool(multiples_near(unnamed.number.order * float(speeds.mean()) / 60.0, 0.0, settings=settings))
+    hertz = unnamed.number.order * float(speeds.mean()) / 60.0
+    return alike_speeds(speeds) and bool(multiples_near(hertz, 0.0, settings=settings))
 
 
 def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
@@ -222,14 +222,15 @@ def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
     return groups
 
 
-def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list[AgreedOrder]:
-    """``agreed`` without a second line that another group had found as its own already."""
+def _without_twins(agreed: list[AgreedOrder], near: float) -> list[AgreedOrder]:
+    """``agreed`` without a second line, so ``near`` at most, that another group had found as its own already."""
     kept = agreed[:1]
     for order in agreed[1:]:
         last = kept[-1]
-        apart, parted = order.order - last.order, all(PARTED_IN_SWEEP in each.doubts for each in (order, last))
-        if apart < min(near, match) and not parted and apart < 4.0 * np.hypot(order.line_error, last.line_error):
-            kept[-1] = max(last, order, key=lambda twin: sum(len(line.seen) for line in twin.lines))
+        parted = all(PARTED_IN_SWEEP in each.doubts for each in (order, last))
+        reach = min(near, 4.0 * np.hypot(order.line_error, last.line_error))
+        if order.order - last.order < reach and not parted:
+            kept[-1] = max(last, order, key=lambda twin: len(twin.speed_rpm))
         else:
             kept.append(order)
     return kept
@@ -353,15 +354,13 @@ def _joined(numbers: list[tuple[float, float, float]]) -> _Number:
 
 def _between(order: Floats, variance: Floats) -> float:
     """Variance between recordings beyond their own such that the weighted scatter is as large as expected."""
-    degrees_of_freedom = len(order) - 1
 
-    def over(extra: float) -> float:
+    def misfit(extra: float) -> float:
         weight = 1.0 / (variance + extra)
-        return float(weight @ (order - np.average(order, weights=weight)) ** 2) - degrees_of_freedom
+        return float(weight @ (order - np.average(order, weights=weight)) ** 2)
 
-    if over(0.0) <= 0.0:
-        return 0.0
-    return root(over, 0.0, float(np.ptp(order)) ** 2 * len(order) + 1e-30, within=1e-24)
+    most = float(np.ptp(order)) ** 2 * len(order) + 1e-30
+    return excess_scatter(misfit, len(order) - 1, most=most, within=1e-24)
 
 
 def _named(unnamed: _Unnamed, test: _Test) -> AgreedOrder:
@@ -460,24 +459,23 @@ def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | N
 
 def _rebuilt(group: list[OrderLine], test: _Test, zoomed: dict[int, Zoomed], number: _Number) -> list[OrderLine]:
     """Lines of the channels of ``group`` with amplitudes of the one component ``zoomed`` in the recordings alone."""
-    speed = test.order_map["speed"].values
-    lines = []
+    speed, mean_rpm, seen = test.order_map["speed"].values, dict[int, float](), dict[int, Zoomed]()
+    for k, z in zoomed.items():  # of several recordings at a speed the slowest
+        own_rpm = float(np.mean(test.recordings[k].speed_rpm))
+        distance = np.abs(speed - own_rpm)
+        at = int(np.nanargmin(distance)) if np.isfinite(distance).any() else 0
+        if at not in seen or own_rpm < mean_rpm[at]:
+            mean_rpm[at], seen[at] = own_rpm, z
+    rows, lines = np.array(sorted(seen)), []
+    rpm, freedom, offset = np.array([(mean_rpm[at], seen[at].dof, seen[at].offset) for at in rows.tolist()]).T
+    loss = hann_lobe(offset / test.resolution)
     for channel, line in enumerate(group):
-        rows = []
-        for k, z in zoomed.items():
-            mean_rpm = float(np.mean(test.recordings[k].speed_rpm))
-            distance = np.abs(speed - mean_rpm)
-            seen = int(np.nanargmin(distance)) if np.isfinite(distance).any() else 0
-            bins = z.offset / test.resolution
-            loss = float(np.sinc(bins) / (1.0 - bins**2)) if abs(abs(bins) - 1.0) > 1e-6 else 0.5
-            rows.append((seen, mean_rpm, abs(z.amplitude[channel]) / loss, float(z.error[channel]) / loss, z.dof))
-        rows.sort()
-        rows = [row for i, row in enumerate(rows) if i == 0 or row[0] != rows[i - 1][0]]
-        seen_at, rpm, amplitude, error, freedom = (np.array(column) for column in zip(*rows, strict=True))
+        amplitude = np.array([abs(seen[at].amplitude[channel]) for at in rows.tolist()]) / loss
+        error = np.array([seen[at].error[channel] for at in rows.tolist()]) / loss
         clear = amplitude > 3.0 * error
         if clear.any():
-            columns = (column[clear] for column in (seen_at, rpm, amplitude, error, freedom))
-            lines.append(line.read_again((number.order, number.error), *columns))
+            of_rows = rows[clear], rpm[clear], amplitude[clear], error[clear], freedom[clear]
+            lines.append(line.read_again((number.order, number.error), *of_rows))
     return lines or group
 
 

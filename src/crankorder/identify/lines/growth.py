@@ -16,7 +16,7 @@ from scipy.special import gammaincc, stdtr
 from crankorder.cause import Cause
 from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
-from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom, root
+from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, excess_scatter, half_width, known_freedom, root
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
@@ -43,7 +43,7 @@ def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends
     """
     at = int(np.argmax(amplitude))
     low, high = (float(end) for end in ends[at])
-    reach = float(half_widths(degrees_of_freedom[at : at + 1])[0] * error[at])
+    reach = float(half_width(float(degrees_of_freedom[at])) * error[at])
     sides = float(amplitude[at]) - low, high - float(amplitude[at])
     if not np.isfinite([high, reach]).all() or max(sides) <= NUMBERS.changing_ratio * reach or min(sides) <= 0.0:
         return ""
@@ -56,7 +56,10 @@ def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends
 SpeedLaw = Literal["grows with speed^n", "falls with speed^n", "keeps its size", "follows no power law"]
 
 TUNING = 4.685
-"""Tukey's biweight: 95 % efficient where all errors are normal (Huber and Ronchetti 2009, 4.8)."""
+"""Standard deviations beyond which a speed is left out at first (Tukey's biweight, Huber and Ronchetti 2009, 4.8)."""
+
+ROUNDS = 3
+"""Times that a law is told by the speeds that do not deviate from it."""
 
 LOW_SHARE = 1.8
 """Of the chance outside the interval so many halves lie below it: little is left above, where one error is added."""
@@ -120,7 +123,7 @@ def growth(line: OrderLine) -> Growth | None:
     """How the amplitude of ``line`` grows with speed; None for fewer than four speeds, or all nearly alike.
 
     Weighted regression of log amplitude on log speed: a speed counts by its own error and by the scatter that all of
-    them show beyond that, and less the farther it deviates (biweight), so that speeds near a resonance do not make the
+    them show beyond that, and not where it deviates from the others, so that speeds near a resonance do not make the
     law. Amplitude "keeps its size" only where the exponent is 0 within its interval and a constant fits.
     """
     known = (line.amplitude > 0.0) & np.isfinite(line.amplitude_error) & np.isfinite(line.speed_rpm)
@@ -134,20 +137,20 @@ def growth(line: OrderLine) -> Growth | None:
     held = np.clip(np.nan_to_num(line.degrees_of_freedom[known], nan=1.0, posinf=ENDLESS_FREEDOM), 1.0, ENDLESS_FREEDOM)
     widened = np.where(held > 2.5, np.sqrt(held / np.maximum(held - 2.0, 0.5)), 2.5)
     error = np.hypot(shared * line.amplitude_error[known] / amplitude * widened, NUMBERS.law_tolerance)
-    coefficient, weight = _robust_line(x, y, error)
-    residual = y - coefficient[0] - coefficient[1] * x
-    core_scale = np.hypot(error, _excess(residual, error, weight > 0.0))
-    deviating = np.abs(residual) > NUMBERS.deviating_sigmas * core_scale
-    kept = ~deviating
-    if np.count_nonzero(kept) < NUMBERS.fewest_speeds or not np.ptp(x[kept]) > 0.0:
-        kept = np.ones(len(x), dtype=np.bool_)
-    exponent, exponent_error, level, excess, chance = _weighted_line(x[kept], y[kept], error[kept])
+    follows = _near_most(x, y, error)
+    for _ in range(ROUNDS):
+        enough = np.count_nonzero(follows) >= NUMBERS.fewest_speeds and np.ptp(x[follows]) > 0.0
+        kept = follows if enough else np.ones(len(x), dtype=np.bool_)
+        told = power_law(x[kept], y[kept], error[kept])
+        residual = np.abs(y - told.level - told.exponent * (x - told.mean))
+        follows = residual <= NUMBERS.deviating_sigmas * np.hypot(error, told.scatter)
+    exponent, exponent_error, excess = told.exponent, float(np.sqrt(told.exponent_variance)), told.scatter
     degrees_of_freedom = _degrees_of_freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
     few_deviate = bool(np.count_nonzero(~kept) <= NUMBERS.largest_deviating_share * len(x))
-    fits, near = few_deviate and chance >= NUMBERS.fit_chance, few_deviate and excess < NUMBERS.law_scatter
+    fits, near = few_deviate and told.chance >= NUMBERS.fit_chance, few_deviate and excess < NUMBERS.law_scatter
     law = _law(exponent, half_width(degrees_of_freedom) * exponent_error, fits=fits, near=near)
-    away, level = tuple(speed[~kept].tolist()), float(np.exp(level))
-    return Growth(exponent, exponent_error, degrees_of_freedom, law, chance, excess, away, level, middle_rpm)
+    away, level = tuple(speed[~kept].tolist()), float(np.exp(told.level - exponent * told.mean))
+    return Growth(exponent, exponent_error, degrees_of_freedom, law, told.chance, excess, away, level, middle_rpm)
 
 
 def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
@@ -171,60 +174,81 @@ def _degrees_of_freedom(error: Floats, excess: float, degrees_of_freedom: Floats
     return (own + excess**2) ** 2 / (own**2 / held + excess**4 / max(len(error) - 2.0, 1.0))
 
 
-def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
-    """Coefficients (level, slope) by biweight from the median of pairwise slopes on, and the last weights.
+def _near_most(x: Floats, y: Floats, error: Floats) -> Bools:
+    """Which speeds lie near the line through most: the median of pairwise slopes (Theil 1950; Sen 1968).
 
     Of many speeds one in so many is paired, from the slowest to the fastest.
     """
     some = np.sort(np.argsort(x, kind="stable")[:: 1 + len(x) // MOST_PAIRED])
     dx, dy = x[some, None] - x[some], y[some, None] - y[some]
     apart = np.abs(dx) > 0.25 * np.ptp(x[some])
-    slope = float(np.median(dy[apart] / dx[apart]))
-    level = float(np.median(y - slope * x))
-    weight = np.ones(len(x))
-    for _ in range(15):
-        residual = y - level - slope * x
-        scale = np.hypot(error, max(0.0, float(np.median(np.abs(residual))) / 0.6745 - float(np.median(error))))
-        share = np.minimum(np.abs(residual) / (TUNING * scale), 1.0)
-        weight = (1.0 - share**2) ** 2
-        strength = weight / scale**2
-        if np.count_nonzero(weight) < 3:
-            break
-        total = strength.sum()
-        away = x - strength @ x / total
-        slope = float(strength @ (away * y) / (strength @ away**2))
-        level = float(strength @ (y - slope * x) / total)
-    return np.array([level, slope]), weight
+    left = y - float(np.median(dy[apart] / dx[apart])) * x
+    residual = np.abs(left - np.median(left))
+    scatter = max(0.0, float(np.median(residual)) / 0.6745 - float(np.median(error)))
+    return np.asarray(residual < TUNING * np.hypot(error, scatter))
 
 
-def _excess(residual: Floats, error: Floats, kept: Bools) -> float:
-    """Scatter beyond the errors such that the residuals of the speeds ``kept`` are as large as expected."""
-    residual, error = residual[kept], error[kept]
-    degrees_of_freedom = max(len(residual) - 2, 1)
+def _excess(residual: Floats, error: Floats) -> float:
+    """Scatter beyond the errors (speeds,) such that the residuals are as large as expected."""
 
-    def over(scatter: float) -> float:
-        return float(np.sum(residual**2 / (error**2 + scatter**2))) - degrees_of_freedom
+    def misfit(scatter: float) -> float:
+        return float(np.sum(residual**2 / (error**2 + scatter**2)))
 
-    if over(0.0) <= 0.0:
-        return 0.0
-    return root(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, within=1e-9)
+    most = float(np.sqrt(np.sum(residual**2))) + 1e-12
+    return excess_scatter(misfit, max(len(residual) - 2, 1), most=most, within=1e-9)
 
 
-def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, float, float, float]:
-    """Slope, its error, the level at 0, the excess scatter and the chance of a worse fit without that scatter."""
-    excess, slope, chance = 0.0, 0.0, 1.0
-    for step in range(4):
+@dataclass(frozen=True)
+class PowerLaw:
+    """log amplitude = ``level`` + ``exponent`` · (log speed - ``mean``), from speeds that scatter about it.
+
+    ``level_variance`` and ``exponent_variance`` are apart; ``scatter`` is the standard deviation of the logarithm
+    beyond the amplitudes' own errors, ``scale`` by how much all variances are to be widened for ``freedom`` degrees of
+    freedom; ``chance`` is that of a worse fit without the scatter.
+    """
+
+    mean: float
+    level: float
+    exponent: float
+    level_variance: float
+    exponent_variance: float
+    scatter: float
+    scale: float
+    freedom: int
+    chance: float
+
+    def excess(self, x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
+        """Logarithm ``y`` of amplitudes over the law at ``x``, and its standard error: (speeds,) each.
+
+        ``x`` is the logarithm of speed, ``error`` that of ``y``; they took no part in the law.
+        """
+        of_law = self.level_variance + (x - self.mean) ** 2 * self.exponent_variance
+        excess = y - self.level - self.exponent * (x - self.mean)
+        return excess, np.sqrt(self.scale * (of_law + error**2 + self.scatter**2))
+
+
+def power_law(x: Floats, y: Floats, error: Floats) -> PowerLaw:
+    """Power law of log amplitudes ``y`` with their ``error`` against log speeds ``x``: (speeds,) each.
+
+    Three speeds or more, not all alike. They are weighted by their errors and by a scatter common to all (Paule and
+    Mandel 1982); variances widened by ``scale`` are those of the residuals, so that Student's t holds (Knapp and
+    Hartung 2003).
+    """
+    excess, chance = 0.0, 1.0
+    for step in range(5):
         weight = 1.0 / (error**2 + excess**2)
-        mean = float(np.average(x, weights=weight))
-        slope = float(weight @ ((x - mean) * y) / (weight @ (x - mean) ** 2))
-        residual = y - float(np.average(y, weights=weight)) - slope * (x - mean)
+        mean, level = (float(np.average(values, weights=weight)) for values in (x, y))
+        away = x - mean
+        slope = float(weight @ (away * y) / (weight @ away**2))
+        residual = y - level - slope * away
+        cost = float(residual**2 @ weight)
         if step == 0:
-            chance = float(gammaincc(0.5 * (len(x) - 2), 0.5 * float(residual**2 @ weight)))
-        excess = _excess(residual, error, np.ones(len(x), dtype=np.bool_))
-    weight = 1.0 / (error**2 + excess**2)
-    mean = float(np.average(x, weights=weight))
-    level = float(np.average(y, weights=weight)) - slope * mean
-    return slope, float(1.0 / np.sqrt(weight @ (x - mean) ** 2)), level, excess, chance
+            chance = float(gammaincc(0.5 * (len(x) - 2), 0.5 * cost))
+        if step < 4:
+            excess = _excess(residual, error)
+    variances = float(1.0 / weight.sum()), float(1.0 / (weight @ away**2))
+    freedom = len(x) - 2
+    return PowerLaw(mean, level, slope, *variances, excess, max(cost / freedom, 1e-12), freedom, chance)
 
 
 @functools.lru_cache(maxsize=256)
@@ -318,7 +342,7 @@ def mean_level(line: OrderLine) -> Largest:
     amplitude, error = amplitude[known], error[known]
     mean = float(np.average(amplitude, weights=1.0 / error**2))
     for _ in range(3):
-        excess = _excess(amplitude - mean, error, np.ones(len(error), dtype=np.bool_))
+        excess = _excess(amplitude - mean, error)
         weight = 1.0 / (error**2 + excess**2)
         mean = float(np.average(amplitude, weights=weight))
     degrees_of_freedom = _degrees_of_freedom(error, excess, line.degrees_of_freedom[known])
@@ -329,11 +353,6 @@ def mean_level(line: OrderLine) -> Largest:
 def visible_range_rpm(line: OrderLine) -> tuple[float, float]:
     """Lowest and highest speed at which ``line`` stands above the false-alarm level."""
     return float(line.speed_rpm.min()), float(line.speed_rpm.max())
-
-
-def is_motion(quantity: str) -> bool:
-    """Whether order 1 in that ``quantity`` is a motion or a force, which an unbalance may make."""
-    return not any(word in quantity for word in NO_MOTION)
 
 
 def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> Cause:

@@ -1,19 +1,22 @@
-"""What tells a line of the shaft from noise, at a stated false-alarm rate, and from a resonance that noise excites."""
+"""What tells a line of the shaft from noise, at a stated false-alarm rate, from a resonance, and from what folds."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.special import gammaincc, gammainccinv, gammaincinv, gammaln
 
-from crankorder.identify.found import Evidence
+from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.zoom import Zoomed, turned_sums
-from crankorder.quantities import Bools, Complexes, Floats, Ints
-from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
+from crankorder.orders.averages import median_of_known
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag
+from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings, Settings
+from crankorder.shaft.aliasing import Alias, AliasedLine, aliased_lines, find_aliases
 
 CFAR_NUMBERS = MethodNumbers("5-identify-lines.toml", "cfar")
 
@@ -128,7 +131,7 @@ def noise_floor(power: Floats, bins: Ints, *, n_averages: Floats, level: Bools |
     scale = gammaincinv(n, 0.5) / n
     # speed by speed: the bins beside all of a long sweep fill the memory
     wide, near = (
-        np.stack([_nanmedian(power[:, row][..., beside]) for row in range(power.shape[1])], axis=1) / scale
+        np.stack([median_of_known(row[:, beside], axis=-1) for row in power.swapaxes(0, 1)], axis=1) / scale
         for beside in (bins, _nearest(bins))
     )
     few = independent_bins(_nearest(bins))
@@ -188,27 +191,22 @@ def highest_of_three(energy: Floats) -> Bools:
 def _log_chance_of_phase(order_map: xr.Dataset) -> Floats:
     """Logarithm of the chance that frames of noise agree in phase as well as each bin's do; 0 where a bin beside does
     better, and in a map without phases."""
-    energy = order_map["amplitude"].values ** 2
     if "coherent_amplitude" not in order_map:
-        return np.zeros(energy.shape)
-    coherent = order_map["coherent_amplitude"].values ** 2
+        return np.zeros(order_map["amplitude"].shape)
+    highest = highest_of_three(order_map["coherent_amplitude"].values ** 2)
+    return np.where(highest, _log_chance_of_coherence(order_map, ...), 0.0)
+
+
+def _log_chance_of_coherence(order_map: xr.Dataset, at: Any) -> Floats:
+    """Logarithm of the chance that frames of noise agree in phase as well as those of the cells ``at`` do.
+
+    The coherence g of n frames of noise exceeds its value with probability (1 - g)**(n - 1) (Goodman 1957).
+    """
+    energy, coherent = (order_map[name].values[at] ** 2 for name in ("amplitude", "coherent_amplitude"))
     with np.errstate(invalid="ignore", divide="ignore"):
         coherence = np.nan_to_num(np.where(energy > 0.0, coherent / energy, 0.0))
-    frames = np.maximum(1.0, order_map["n_coherent"].values)
-    chance = (frames - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12))
-    return np.where(highest_of_three(coherent), chance, 0.0)
-
-
-def _nanmedian(values: Floats) -> Floats:
-    """Median along the last axis without NaN; NaN where all are. Faster than numpy's, which warns besides."""
-    ordered = np.sort(values, axis=-1)
-    if not np.isnan(ordered[..., -1]).any():
-        n = values.shape[-1]
-        return np.asarray(0.5 * (ordered[..., (n - 1) // 2] + ordered[..., n // 2]))
-    count = np.count_nonzero(~np.isnan(values), axis=-1)
-    low = np.take_along_axis(ordered, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)[..., 0]
-    high = np.take_along_axis(ordered, np.minimum(count // 2, values.shape[-1] - 1)[..., None], axis=-1)[..., 0]
-    return np.asarray(0.5 * (low + high))
+    frames = np.maximum(1.0, order_map["n_coherent"].values[at])
+    return np.asarray((frames - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12)))
 
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "line_evidence")
@@ -274,16 +272,17 @@ def _follows(order_map: xr.Dataset, ratio: Floats, peak: int, seen: Ints) -> boo
 def _is_locked(order_map: xr.Dataset, channel: int, peak: int, seen: Ints, false_alarm_probability: float) -> bool:
     """Whether the frames agree in phase as noise would only with ``false_alarm_probability``.
 
-    The coherence g of n frames of noise exceeds its value with probability (1 - g)**(n - 1) (Goodman 1957); minus the
-    logarithms of several speeds add up to a gamma variable. A resonance excited by noise may stand out as far as a
-    line does, but its phase wanders.
+    A resonance excited by noise may stand out as far as a line does, but its phase wanders.
     """
-    energy = order_map["amplitude"].values[channel, seen, peak] ** 2
-    coherent = order_map["coherent_amplitude"].values[channel, seen, peak] ** 2
-    coherence = np.nan_to_num(np.divide(coherent, energy, out=np.zeros(len(seen)), where=energy > 0.0))
-    n_independent = np.maximum(1.0, order_map["n_coherent"].values[channel, seen, peak])
-    evidence = float(np.sum(-(n_independent - 1.0) * np.log1p(-np.minimum(coherence, 1.0 - 1e-12))))
-    return bool(gammaincc(len(seen), evidence) < false_alarm_probability)
+    return _are_seldom(_log_chance_of_coherence(order_map, (channel, seen, peak)), false_alarm_probability)
+
+
+def _are_seldom(log_chances: Floats | Sequence[float], false_alarm_probability: float) -> bool:
+    """Whether several tests come out as noise has all of them with less than ``false_alarm_probability`` together.
+
+    Minus the logarithms of their chances add up to a gamma variable (Fisher 1925).
+    """
+    return len(log_chances) > 0 and bool(gammaincc(len(log_chances), -np.sum(log_chances)) < false_alarm_probability)
 
 
 def is_steady(order_map: xr.Dataset, channel: int, peak: int, seen: Ints, false_alarm_probability: float) -> bool:
@@ -301,8 +300,7 @@ def is_steady(order_map: xr.Dataset, channel: int, peak: int, seen: Ints, false_
     mean = float(np.average(kurtosis[known], weights=frames[known]))
     if mean < -NUMBERS.steady_sigmas * 2.0 / float(np.sqrt(frames[known].sum())) and mean < NUMBERS.steady_kurtosis:
         return True
-    evidence = -log_chance_of_kurtosis(kurtosis[known], frames[known]).sum()
-    if gammaincc(np.count_nonzero(known), evidence) >= false_alarm_probability:
+    if not _are_seldom(log_chance_of_kurtosis(kurtosis[known], frames[known]), false_alarm_probability):
         return False
     at = seen[known]
     if len(at) > 1 and has_moved(order_map, peak, at):
@@ -353,18 +351,17 @@ def keeps_one_order(zooms: Sequence[Zoomed], *, false_alarm_probability: float) 
 
     The power of n frames at their best frequency stands over that of waves a little slower and faster, which a
     resonance raises alike, by more than a ratio s with a chance of at most n (1 + s / f)^(-f/2), f being the degrees of
-    freedom of the latter (Fisher 1929); minus the logarithms of several recordings add up to a gamma variable, and
-    noise does so with less than ``false_alarm_probability``. In a run-up the steps of the phase from frame to frame
-    are told from those of noise, whose mean phasor is as long as r with a chance of exp(-n r^2) (Rayleigh 1880).
+    freedom of the latter (Fisher 1929), and noise does so with less than ``false_alarm_probability``. In a run-up the
+    steps of the phase from frame to frame are told from those of noise, whose mean phasor is as long as r with a chance
+    of exp(-n r^2) (Rayleigh 1880).
     """
-    evidence = 0.0
-    for line in zooms:
-        if line.course is not None:
-            evidence += line.course.steps * max(0.0, line.course.alike - OVERLAP_ALIKE) ** 2
-            continue
-        trials = np.log(max(line.frames, 2.0))
-        evidence += max(0.0, 0.5 * line.dof * float(np.log1p(line.snr / line.dof)) - float(trials))
-    return len(zooms) > 0 and bool(gammaincc(len(zooms), evidence) < false_alarm_probability)
+    chances = [
+        min(0.0, float(np.log(max(line.frames, 2.0))) - 0.5 * line.dof * float(np.log1p(line.snr / line.dof)))
+        if line.course is None
+        else -line.course.steps * max(0.0, line.course.alike - OVERLAP_ALIKE) ** 2
+        for line in zooms
+    ]
+    return _are_seldom(chances, false_alarm_probability)
 
 
 REFINEMENTS = 3
@@ -391,7 +388,7 @@ def keeps_its_phase(
     independent_share : independent frames that each is worth, 0…1
     slips : whether it may turn away from its bin evenly; otherwise it is locked to the shaft
     """
-    evidence = 0.0
+    chances = []
     for phasors, centre, hop_rev in recordings:
         turn, offset, trials = centre - centre.mean(), 0.0, 1
         if slips:
@@ -400,8 +397,8 @@ def keeps_its_phase(
         chance = log_chance_of_phase(
             phasors, turn, offset=offset, forgotten=forgotten, independent_share=independent_share, fitted=int(slips)
         )
-        evidence -= min(0.0, chance + float(np.log(trials)))
-    return len(recordings) > 0 and bool(gammaincc(len(recordings), evidence) < false_alarm_probability)
+        chances.append(min(0.0, chance + float(np.log(trials))))
+    return _are_seldom(chances, false_alarm_probability)
 
 
 def log_chance_of_phase(
@@ -464,3 +461,90 @@ def best_offset(phasors: Complexes, turn: Floats, *, hop_rev: float) -> tuple[fl
         spread = max(float(weight @ np.square(apart)), 1e-300)
         offset += float((along * apart) @ steady.imag) / spread / (2.0 * np.pi)
     return offset, count
+
+
+FOLD_NUMBERS = MethodNumbers("5-identify-explain.toml", "folds")
+
+
+@dataclass(frozen=True, eq=False)
+class ShownAlias:
+    """A fold and where it shows: ``speed_rpm`` and ``order`` (points,), each order known within ``order_error``."""
+
+    fold: Alias
+    speed_rpm: Floats
+    order: Floats
+    order_error: float
+
+    def is_line(self, line: OrderLine) -> bool:
+        """Whether ``line`` is this fold, at more than half of the speeds at which it is seen."""
+        reach = np.hypot(self.order_error / FOLD_NUMBERS.order_error_bins, 2.0 * line.order_error)
+        near = np.abs(self.order - line.order) <= reach
+        same = np.isin(np.round(line.speed_rpm, 6), np.round(self.speed_rpm[near], 6))
+        return bool(np.mean(same) > FOLD_NUMBERS.of_line_share)
+
+
+def shown_aliases(order_map: xr.Dataset, *, settings: Settings) -> tuple[ShownAlias, ...]:
+    """What is found to fold in ``order_map``, the surest first; nothing where it was sampled by time or lacks a speed.
+
+    ``settings``: those of identify (mains frequencies, highest frequency looked for) and of orders (the floor's width).
+    """
+    samples_per_rev = _samples_per_rev(order_map)
+    if samples_per_rev is None:
+        return ()
+    speed, axis = order_map["speed"].values, order_map["order"].values
+    excess = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders).excess
+    at_speed, at_order = np.nonzero((excess > 1.0).any(axis=0))
+    order_error = FOLD_NUMBERS.order_error_bins * float(axis[1] - axis[0])
+    folds = find_aliases(
+        speed[at_speed],
+        axis[at_order],
+        samples_per_rev=samples_per_rev,
+        order_error=order_error,
+        shown_to_order=float(axis[-1]),
+        highest_hz=settings.identify.fold_search_hz,
+        frequencies_hz=[line.frequency_hz for line in _aliased_mains(order_map, samples_per_rev, settings)],
+    )
+    return tuple(
+        ShownAlias(fold, speed[at_speed][fold.points], axis[at_order][fold.points], order_error) for fold in folds
+    )
+
+
+def alias_flags(order_map: xr.Dataset, *, settings: Settings, folds: tuple[ShownAlias, ...]) -> list[QualityFlag]:
+    """What may fold at the speeds of ``order_map``, and fixed frequencies above half the rate that show as lines in it.
+
+    Nothing where the map is of recordings sampled by time, or of unknown speed. ``settings``: those of identify (mains
+    frequencies, highest frequency looked for) and of orders (the floor's width). ``folds``: those of
+    :func:`shown_aliases`.
+    """
+    samples_per_rev = _samples_per_rev(order_map)
+    if samples_per_rev is None:
+        return []
+    speed = order_map["speed"].values
+    low_hz, high_hz = samples_per_rev / 120 * speed.min(), samples_per_rev / 120 * speed.max()
+    mains = _aliased_mains(order_map, samples_per_rev, settings)
+    said = (
+        f"sampled {samples_per_rev:g} times a revolution: unless a filter kept it out, what lies above "
+        f"{low_hz:.4g} to {high_hz:.4g} Hz (by speed) shows at |order - {samples_per_rev:g} k|"
+    )
+    text = "; mains, ".join([said, *map(str, mains)])
+    remarks = [("lines_may_fold", "info", text), *(shown.fold.remark for shown in folds)]
+    return [
+        {"recording": "all", "flag": flag, "severity": severity, "detail": detail} for flag, severity, detail in remarks
+    ]
+
+
+def _samples_per_rev(order_map: xr.Dataset) -> float | None:
+    """Samples per revolution of a test sampled by crank angle whose speeds are known; else None."""
+    samples_per_rev = float(order_map.attrs.get("samples_per_rev", 0.0))
+    return samples_per_rev if samples_per_rev and np.isfinite(order_map["speed"].values).all() else None
+
+
+def _aliased_mains(order_map: xr.Dataset, samples_per_rev: float, settings: Settings) -> list[AliasedLine]:
+    """Multiples of mains that fold into the orders of the map."""
+    multiples = np.multiply.outer(settings.identify.mains_hz, np.arange(1, FOLD_NUMBERS.mains_harmonics + 1))
+    return aliased_lines(
+        samples_per_rev,
+        order_map["speed"].values,
+        frequencies_hz=np.unique(multiples[multiples <= settings.identify.fold_search_hz]).tolist(),
+        shown_to_order=float(order_map["order"].values[-1]),
+    )

@@ -15,8 +15,8 @@ from crankorder.findings import Lock
 from crankorder.identify.found import Doubt, OrderLine
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.zoom import NUMBERS as ZOOM
-from crankorder.identify.lines.zoom import PAIR_NUMBERS as CLOSE_PAIR
-from crankorder.identify.lines.zoom import Course, Zoomed, course_of, unaliased, zoomed
+from crankorder.identify.lines.zoom import Course, Frames, Zoomed, course_of, drift_turn_rev, zoomed
+from crankorder.orders.joint_lines import Band, HeldFrames, Place, hann_lobe, joint_lines
 from crankorder.orders.like_speed import common_frames
 from crankorder.quantities import Complexes, Floats, flags_of
 from crankorder.settings import MethodNumbers
@@ -125,6 +125,12 @@ def proves_speed(numbers: Sequence[tuple[float, float, float]], *, revs_per_cycl
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "line_phasors")
 
+HANN_ENBW = 1.5
+"""Noise bandwidth of a frame's bin [bins]."""
+
+LEAST_APART_CYCLES = 0.25
+"""Cycles over the recording below which two lines have run into one another."""
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -209,34 +215,53 @@ def zooms(
     lines: dict[int, Zoomed] = {}
     for number, (recording, phasors, centre, speed) in picked.items():
         swept = is_swept(speed)
-        line = zoomed(
-            phasors,
-            centre,
-            revs=recording.revs,
-            hop_rev=recording.hop_rev,
-            swept=swept,
-            drift=_drift(centre, speed),
-            noise=_noise_beside(recording, channels, at, centre) if swept else None,
-            near=near,
-            alone=alone,
-        )
+        frames = Frames(centre, recording.revs, recording.hop_rev, swept, _drift(centre, speed))
+        noise = _noise_beside(recording, channels, at, centre) if swept else None
+        line = zoomed(phasors, frames, noise=noise, near=near, alone=alone)
         if line is not None:
-            lines[number] = _unaliased(line, recording, channels, at, centre)
+            lines[number] = _solved_together(line, recording, channels, at, centre)
     return lines
 
 
-def _unaliased(line: Zoomed, recording: Recording, channels: list[int], at: int, centre_rev: Floats) -> Zoomed:
-    """``line`` with its second one where the bins beside say that it is."""
-    bins = np.arange(at - CLOSE_PAIR.side_bins, at + CLOSE_PAIR.side_bins + 1)
-    if line.second is None or bins[0] < 1 or bins[-1] >= recording.spectrum.shape[2]:
+def _solved_together(line: Zoomed, recording: Recording, channels: list[int], at: int, centre_rev: Floats) -> Zoomed:
+    """``line`` with its second one as the least squares of both say; as they are where these do not settle apart.
+
+    From frame to frame the phase of a line tells its order but for multiples of the reciprocal hop; of these the second
+    line has the one that leaves least in the bins beside.
+    """
+    second = line.second
+    if second is None or line.swept:
         return line
-    frames = np.isin(recording.centre_rev, centre_rev)
-    phasors = np.moveaxis(recording.spectrum[channels][:, frames][:, :, bins], 1, 2).astype(np.complex128)
-    turn = centre_rev - 0.5 * (centre_rev[0] + centre_rev[-1])
-    phasors, resolution, hop_rev = np.nan_to_num(phasors), 1.0 / recording.revs, recording.hop_rev
-    offsets = line.offset, line.second.offset
-    offset = unaliased(phasors, turn, offsets=offsets, resolution=resolution, hop_rev=hop_rev)
-    return replace(line, second=replace(line.second, offset=offset))
+    kept = np.isin(recording.centre_rev, centre_rev)
+    frames = recording.spectrum[channels][:, kept], recording.centre_rev[kept]
+    speed = np.nan_to_num(recording.speed_rpm[kept], nan=60.0)
+    order, revs = at / recording.revs, recording.revs
+    band = Band.about(HeldFrames.of(*frames, speed, revs=revs), order, order)
+    if band is None:
+        return line
+    first = Place(turns=order + line.offset)
+    starts = [Place(turns=order + second.offset + turns / recording.hop_rev) for turns in (-1, 0, 1)]
+    fits = [joint_lines(band, [first, start]) for start in starts]
+    best = int(np.argmin([float(fit.white.sum()) for fit in fits]))
+    pair = joint_lines(band, [first, starts[best]], free=True)
+    if abs(pair.orders[1] - pair.orders[0]) * line.span_rev < LEAST_APART_CYCLES:
+        return line
+    drift = (drift_turn_rev(_drift(frames[1], recording.speed_rpm[kept])) / line.span_rev) ** 2
+
+    def solved(number: int, started: Zoomed) -> Zoomed:
+        sighting = pair.sighting(number)
+        offset = sighting.order - order
+        loss = float(hann_lobe(np.array(offset * revs)))
+        snr = min(sighting.sigmas**2, 1e24)
+        size, error = loss * sighting.phasor, abs(loss) * sighting.error
+        started = replace(started, amplitude=size, error=error, snr=snr, dof=sighting.degrees_of_freedom)
+        return replace(started, offset=offset, variance=sighting.order_error**2 + drift)
+
+    # of what one bin holds of noise, two phasors and two numbers took three parts
+    parts = HANN_ENBW * band.held.span_rev / revs
+    left = np.square(np.abs(band.spectra(pair.left)[:, band.bins == at])).mean(axis=(0, 1)) * np.square(band.unit)
+    left *= parts / max(parts - 3.0, 1.0)
+    return replace(solved(0, line), second=solved(1, second), left=left)
 
 
 def is_swept(speed_rpm: Floats) -> bool:

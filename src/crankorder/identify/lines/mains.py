@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,19 +15,13 @@ from crankorder.findings import Motor as MotorRecord
 from crankorder.findings import MotorLine as LineRecord
 from crankorder.findings import MotorSpeed
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, Tone
-from crankorder.identify.intervals import Z95, positive_interval
+from crankorder.identify.intervals import Z95, positive_interval, size_interval
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
-from crankorder.identify.lines.known_lines import (
-    Held,
-    LineSeen,
-    Place,
-    Sighting,
-    found_near,
-    named_by,
-    sightings,
-)
+from crankorder.identify.lines.known_lines import LineSeen, found_near, named_by, sightings
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
+from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
+from crankorder.orders.joint_lines import HeldFrames, Place, Sighting
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -118,7 +113,7 @@ def mains_orders(
     lines = _Fixed(
         np.array([places[order][0] for order in names]),
         np.array([places[order][1] for order in names]),
-        [{float(rpm) for line in agreed.lines for rpm in line.speed_rpm} for agreed in fixed],
+        [set(agreed.speed_rpm.tolist()) for agreed in fixed],
         np.array([order in exact for order in names]),
     )
     tones_hz = [tone.frequency_hz for tone in tones]
@@ -184,7 +179,7 @@ def _rivals(lines: _Fixed, claim: Bools, mains: float, tones: Sequence[Tone]) ->
 
 def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
     """Frequency and error of a line that may as well be fixed; None where several speeds say otherwise."""
-    speed = np.concatenate([line.speed_rpm for line in agreed.lines])
+    speed = agreed.speed_rpm
     if not alike_speeds(speed):
         return None
     rpm = float(speed.mean())
@@ -192,7 +187,7 @@ def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
     return agreed.order * rpm / 60.0, error / 60.0
 
 
-def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[LineSeen, ...]:
+def mains_seen(held: Sequence[HeldFrames], *, settings: IdentifySettings) -> tuple[LineSeen, ...]:
     """Mains and twice mains, where several recordings of ``held`` at different speeds show one and the same frequency.
 
     ``settings``: the mains frequencies and how far they wander.
@@ -214,12 +209,14 @@ def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[Lin
             lines += [
                 LineSeen(line, recording, hertz, sighting)
                 for recording, hertz in places
-                if (sighting := sightings(recording, [(hertz, 0.0)])[0]) is not None
+                if (sighting := sightings(recording, [Place(hertz)])[0]) is not None
             ]
     return tuple(lines)
 
 
-def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz: float) -> list[tuple[Held, float]]:
+def _one_frequency(
+    held: Sequence[HeldFrames], low_hz: float, high_hz: float, same_hz: float
+) -> list[tuple[HeldFrames, float]]:
     """Recordings, with the frequency, that show a line at one and the same one, where orders of the shaft move.
 
     None where as many others, or more, would show the least of these and do not: a supply is there at every speed.
@@ -228,11 +225,11 @@ def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz:
     places = [(recording, line[0]) for recording, line in lines if line is not None]
     middle = float(np.median([hertz for _, hertz in places])) if places else 0.0
     places = [(recording, hertz) for recording, hertz in places if abs(hertz - middle) <= same_hz]
-    seen = [(recording.order_of((middle, 0.0)), recording.span_rev) for recording, _ in places]
+    seen = [(recording.order_of(Place(middle)), recording.span_rev) for recording, _ in places]
     moves = any(abs(a - b) * min(span, other) > NUMBERS.moved_cycles for (a, span), (b, other) in combinations(seen, 2))
     if len(places) < NUMBERS.least_speeds or not moves:
         return []
-    sighted = [sightings(recording, [(hertz, 0.0)])[0] for recording, hertz in places]
+    sighted = [sightings(recording, [Place(hertz)])[0] for recording, hertz in places]
     shown = [sighting for sighting in sighted if sighting is not None]
     if not shown:
         return places
@@ -241,10 +238,10 @@ def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz:
     return places if absent < len(places) else []
 
 
-def _excludes(held: Held, hertz: float, least: Floats) -> bool:
+def _excludes(held: HeldFrames, hertz: float, least: Floats) -> bool:
     """Whether ``held`` would show a line at ``hertz`` of the amplitudes ``least`` (channels,), and does not."""
-    there = None if held.hides(hertz) else sightings(held, [(hertz, 0.0)])[0]
-    return there is not None and bool(np.any(there.amplitude + KNOWN_LINES.seen_sigmas * there.error < least))
+    there = None if held.is_half(held.order_of(Place(hertz))) else sightings(held, [Place(hertz)])[0]
+    return there is not None and bool(np.any(there.amplitude + JOINT_LINES.seen_sigmas * there.error < least))
 
 
 def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[LineSeen, ...]:
@@ -298,24 +295,21 @@ def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequenc
 
 def _as_tone(hertz: float, group: Sequence[LineSeen], words: str) -> Tone:
     """A tone at ``hertz``, as large as the recordings of ``group`` hold it together."""
-    size = np.array([seen.sighting.amplitude for seen in group])
-    error = np.array([seen.sighting.error for seen in group])
-    mean = np.sqrt(np.mean(size**2, axis=0))
     seconds = min(float(np.ptp(seen.held.time_s)) for seen in group)
     wander = max(float(np.std([seen.hertz for seen in group])), 0.05 / max(seconds, 1.0))
-    return Tone(hertz, wander, "mains", shown_amplitudes(group[0].held.channels, mean, size, error), words)
+    return Tone(hertz, wander, "mains", shown_amplitudes([(seen.held, seen.sighting) for seen in group]), words)
 
 
-def shown_amplitudes(
-    channels: Sequence[str], mean: Floats, size: Floats, error: Floats
-) -> dict[str, tuple[float, float]]:
-    """The ``mean`` (channels,) amplitude of a line and its standard error, in the ``channels`` that show it.
+def shown_amplitudes(seen: Sequence[tuple[HeldFrames, Sighting]]) -> dict[str, tuple[float, float]]:
+    """Mean amplitude of a line ``seen`` in recordings, and its standard error, in the channels that show it.
 
-    ``size`` and ``error`` (recordings, channels) are those of each recording, whose scatter counts.
+    Their own errors count, and their scatter.
     """
+    size, error = (np.array([getattr(line, key) for _, line in seen]) for key in ("amplitude", "error"))
+    mean = np.sqrt(np.mean(size**2, axis=0))
     own = np.sqrt(np.mean(error**2, axis=0) / len(size))
     spread = size.std(axis=0) / np.sqrt(max(len(size) - 1, 1))
-    shown = [(name, k) for k, name in enumerate(channels) if mean[k] > Z95 * own[k]]
+    shown = [(name, k) for k, name in enumerate(seen[0][0].channels) if mean[k] > Z95 * own[k]]
     return {name: (float(mean[k]), float(np.hypot(own[k], spread[k]))) for name, k in shown}
 
 
@@ -324,8 +318,12 @@ MOTOR_NUMBERS = MethodNumbers("5-identify-explain.toml", "motors")
 STATED_REACH = Z95 * ORDER_LOCK.stated_speed_error
 """Share by which a stated speed may be off."""
 
-Measured = tuple[float, float]
-"""A frequency in Hz and its standard error."""
+
+class Measured(NamedTuple):
+    """A frequency in Hz and its standard error."""
+
+    hertz: float
+    error_hz: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,7 +335,7 @@ class MotorSeen:
     speed_doubt: str | None
 
 
-def motor_seen(motor: Motor, held: Sequence[Held], *, by_shaft: bool, settings: IdentifySettings) -> MotorSeen:
+def motor_seen(motor: Motor, held: Sequence[HeldFrames], *, by_shaft: bool, settings: IdentifySettings) -> MotorSeen:
     """The ``motor`` and its lines that stand in the recordings ``held``.
 
     The supply is measured by its own line or its double, near what is stated. The slip of a recording is 1 - n p / f
@@ -358,9 +356,9 @@ def motor_seen(motor: Motor, held: Sequence[Held], *, by_shaft: bool, settings: 
     if measured:  # the error of the mean is no less than the scatter of recordings
         hertz, error = np.array(measured).T
         scatter = float(max(np.sum(error**-2) ** -0.5, hertz.std()))
-        supply = float(np.average(hertz, weights=error**-2)), scatter
+        supply = Measured(float(np.average(hertz, weights=error**-2)), scatter)
     elif motor.supply_hz is not None:
-        supply = motor.supply_hz, settings.mains_tolerance_hz / Z95
+        supply = Measured(motor.supply_hz, settings.mains_tolerance_hz / Z95)
     lines = [line for line in motor_lines(motor) if (measured or line.mains == 0) and (by_shaft or line.turns == 0.0)]
     speeds: list[MotorSpeed] = []
     seen: list[LineSeen] = []
@@ -372,15 +370,15 @@ def motor_seen(motor: Motor, held: Sequence[Held], *, by_shaft: bool, settings: 
         if speed is not None and abs(speed.speed_rpm / recording.rpm - 1.0) > STATED_REACH:
             doubts.append((recording.rpm, speed.speed_rpm))
         if speed is None or speed.fits:
-            seen += _seen_in(recording, lines, 0.0 if at is None else at[0])
+            seen += _seen_in(recording, lines, 0.0 if at is None else at.hertz)
     fits = not speeds or any(speed.fits for speed in speeds)
     record = MotorRecord(
-        supply_hz=None if supply is None else supply[0],
-        supply_hz_ci95=None if supply is None else positive_interval(supply[0], Z95 * supply[1]),
+        supply_hz=None if supply is None else supply.hertz,
+        supply_hz_ci95=None if supply is None else positive_interval(supply.hertz, Z95 * supply.error_hz),
         supply_measured=bool(measured),
         poles=motor.poles,
         rotor_bars=motor.rotor_bars,
-        misfit="" if fits or supply is None else _misfit(motor, speeds, supply[0]),
+        misfit="" if fits or supply is None else _misfit(motor, speeds, supply.hertz),
         speeds=tuple(speeds),
         lines=_records(seen),
     )
@@ -396,7 +394,7 @@ def _doubt(doubts: Sequence[tuple[float, float]]) -> str | None:
     return f"{stated} rpm is stated, and the line just below the motor's field tells {read} rpm{where}"
 
 
-def _supply(motor: Motor, held: Held, by_shaft: bool, settings: IdentifySettings) -> Measured | None:
+def _supply(motor: Motor, held: HeldFrames, by_shaft: bool, settings: IdentifySettings) -> Measured | None:
     """Supply frequency by its double or itself; None where neither is there.
 
     A stated speed is often the field's, whose multiples are at the mains: they are no orders of the shaft.
@@ -406,49 +404,56 @@ def _supply(motor: Motor, held: Held, by_shaft: bool, settings: IdentifySettings
         reach = float(nearest_multiple(middle, middle / multiple, settings=settings)[1])
         line = found_near(held, middle - reach, middle + reach, known=None if by_shaft else [])
         if line is not None:
-            return line[0] / multiple, max(line[1] / multiple, 1e-6)
+            hertz, error = line
+            return Measured(hertz / multiple, max(error / multiple, 1e-6))
     return None
 
 
-def _speed(motor: Motor, held: Held, supply: Measured, *, by_shaft: bool) -> MotorSpeed | None:
+def _speed(motor: Motor, held: HeldFrames, supply: Measured, *, by_shaft: bool) -> MotorSpeed | None:
     """What the motor does in one recording; None without poles, or where nothing tells its speed."""
     if motor.poles is None:
         return None
-    shaft = (held.rpm * motor.shaft_ratio / 60.0, 0.0) if by_shaft else _line_below_field(motor, held, supply[0])
-    if shaft is None:
-        return None
-    synchronous_rpm = motor.synchronous_rpm(supply[0])
-    slip = 1.0 - 60.0 * shaft[0] / synchronous_rpm
-    half = Z95 * float(np.hypot(supply[1] / supply[0], shaft[1] / shaft[0]))
+    shaft = Measured(held.rpm * motor.shaft_ratio / 60.0, 0.0)
+    if not by_shaft:
+        below = _line_below_field(motor, held, supply.hertz)
+        if below is None:
+            return None
+        shaft = below
+    synchronous_rpm = motor.synchronous_rpm(supply.hertz)
+    slip = 1.0 - 60.0 * shaft.hertz / synchronous_rpm
+    half = Z95 * float(np.hypot(supply.error_hz / supply.hertz, shaft.error_hz / shaft.hertz))
     return MotorSpeed(
-        speed_rpm=60.0 * shaft[0] / motor.shaft_ratio,
+        speed_rpm=60.0 * shaft.hertz / motor.shaft_ratio,
         synchronous_rpm=synchronous_rpm,
         slip=slip,
         slip_ci95=(slip - half, slip + half),
-        pole_pass_hz=2.0 * slip * supply[0],
+        pole_pass_hz=2.0 * slip * supply.hertz,
         fits=slip + half >= 0.0 and slip - half <= USUAL_SLIP,
     )
 
 
-def _line_below_field(motor: Motor, held: Held, supply_hz: float) -> Measured | None:
+def _line_below_field(motor: Motor, held: HeldFrames, supply_hz: float) -> Measured | None:
     """The line between the slowest rotor and its field that is the motor's shaft; None: none, or several.
 
     That at the stated speed is, where there is one, whatever another machine adds; else the only one.
     """
     field_hz = motor.synchronous_rpm(supply_hz) / 60.0
     slowest_hz, stated_hz = (1.0 - USUAL_SLIP) * field_hz, held.rpm * motor.shaft_ratio / 60.0
-    near = max(slowest_hz, stated_hz * (1.0 - STATED_REACH)), min(field_hz, stated_hz * (1.0 + STATED_REACH))
-    mains: list[Place] = [(supply_hz, 0.0)]
-    line = found_near(held, slowest_hz, field_hz, known=mains)
-    if line is None or near[0] <= line[0] <= near[1]:
+    low, high = max(slowest_hz, stated_hz * (1.0 - STATED_REACH)), min(field_hz, stated_hz * (1.0 + STATED_REACH))
+    places = mains = [Place(supply_hz)]
+
+    def line_within(begin_hz: float, end_hz: float) -> Measured | None:
+        line = found_near(held, begin_hz, end_hz, known=places) if begin_hz < end_hz else None
+        return None if line is None else Measured(*line)
+
+    line = line_within(slowest_hz, field_hz)
+    if line is None or low <= line.hertz <= high:
         return line
-    known = [*mains, (line[0], 0.0)]
-    stated = found_near(held, *near, known=known) if near[0] < near[1] else None
-    if stated is not None:
+    places = [*mains, Place(line.hertz)]
+    if (stated := line_within(low, high)) is not None:
         return stated
-    other = found_near(held, slowest_hz, field_hz, known=known)
-    if other is not None:
-        pair = sightings(held, [(line[0], 0.0), (other[0], 0.0), *mains])[:2]
+    if (other := line_within(slowest_hz, field_hz)) is not None:
+        pair = sightings(held, [Place(line.hertz), Place(other.hertz), *mains])[:2]
         first, second = (0.0 if sighting is None else float(sighting.amplitude.max()) for sighting in pair)
         if second * MOTOR_NUMBERS.stands_out_ratio > first:
             return None
@@ -466,9 +471,9 @@ def _misfit(motor: Motor, speeds: Sequence[MotorSpeed], supply_hz: float) -> str
     )
 
 
-def _seen_in(held: Held, lines: Sequence[MotorLine], supply_hz: float) -> list[LineSeen]:
+def _seen_in(held: HeldFrames, lines: Sequence[MotorLine], supply_hz: float) -> list[LineSeen]:
     """Those of the ``lines`` that stand in the recording ``held``, with what else may stand there."""
-    places: list[Place] = [(line.mains * supply_hz, line.turns) for line in lines]
+    places = [Place(line.mains * supply_hz, line.turns) for line in lines]
     at_places = sightings(held, places)
     shown = {
         number: LineSeen(
@@ -490,7 +495,11 @@ def _seen_in(held: Held, lines: Sequence[MotorLine], supply_hz: float) -> list[L
 
 
 def _also(
-    held: Held, number: int, lines: Sequence[MotorLine], places: Sequence[Place], at_places: Sequence[Sighting | None]
+    held: HeldFrames,
+    number: int,
+    lines: Sequence[MotorLine],
+    places: Sequence[Place],
+    at_places: Sequence[Sighting | None],
 ) -> tuple[tuple[MotorLine, ...], float | None]:
     """Other lines, and the order of the shaft, so near to line ``number`` that the recording does not part them."""
     order = held.order_of(places[number])
@@ -500,11 +509,11 @@ def _also(
         if other != number
         and line.of != lines[number].name
         and at_places[other] is not None
-        and abs(held.order_of(places[other]) - order) * held.span_rev < KNOWN_LINES.apart_cycles
+        and abs(held.order_of(places[other]) - order) * held.span_rev < JOINT_LINES.apart_cycles
     )
     whole = round(order)
     fixed = lines[number].mains != 0 or lines[number].of != ""
-    on_order = fixed and whole >= 1 and abs(order - whole) * held.span_rev < KNOWN_LINES.apart_cycles
+    on_order = fixed and whole >= 1 and abs(order - whole) * held.span_rev < JOINT_LINES.apart_cycles
     return near, float(whole) if on_order else None
 
 
@@ -525,7 +534,7 @@ def _records(lines: Sequence[LineSeen]) -> tuple[LineRecord, ...]:
                 order=seen.sighting.order,
                 speed_rpm=seen.held.rpm,
                 amplitude=size,
-                amplitude_ci95=(max(0.0, size - Z95 * error), size + Z95 * error),
+                amplitude_ci95=size_interval(size, Z95 * error),
                 others=seen.others,
                 n_recordings=1,
             )

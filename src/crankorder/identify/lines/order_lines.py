@@ -28,9 +28,9 @@ from crankorder.identify.lines.line_evidence import (
 from crankorder.identify.lines.line_phasors import Phasors, Recording, any_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.orders.averages import HeldSizes, SizeRows
+from crankorder.orders.joint_lines import hann_lobe
 from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
-from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.scratch import give_back
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings, Settings
@@ -213,11 +213,7 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chanc
         lines = [
             line
             for line in by_recording.values()  # a resonance that noise excites leaves far more than two lines do
-            if alone
-            or (
-                line.second is not None
-                and 2.0 * line.frames * float(np.median(line.error)) ** 2 < NUMBERS.left_ratio * floor
-            )
+            if alone or (line.left is not None and float(np.median(line.left)) < NUMBERS.left_ratio * floor)
         ]
         if keeps_one_order(lines, false_alarm_probability=chance):
             return True

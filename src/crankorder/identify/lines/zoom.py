@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.fft import fft
 from scipy.special import gammainccinv
 
-from crankorder.orders.averages import whitening
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
@@ -29,7 +29,8 @@ class Zoomed:
     ``amplitude`` (channels,) complex at crank angle 0 and its standard ``error``; ``span_rev`` from the first to the
     last frame's centre; ``snr`` the square of the mean's amplitude over its noise along one axis, over so many
     ``frames``; ``wander`` how much more of what is left after the line is slow than fast (NaN where not known);
-    ``second`` a line beside it; ``course`` how its phase runs over a run-up, None where the speed is held.
+    ``second`` a line beside it and ``left`` the power (channels,) of a frame that both leave, None without it;
+    ``course`` how its phase runs over a run-up, None where the speed is held.
     """
 
     offset: float
@@ -42,24 +43,32 @@ class Zoomed:
     frames: float
     wander: float = np.nan
     second: Zoomed | None = None
+    left: Floats | None = None
     course: Course | None = None
     swept: bool = False
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames of a recording: their ``turn`` [rev] from its middle, their length ``revs``, and whether the speed is
-    ``swept``; ``drift`` is the share by which a speed that is held drifts."""
+    """Frames of a recording: crank angles [rev] of their middles ``centre_rev`` (frames,), their length ``revs`` and
+    ``hop_rev`` from one to the next; whether the speed is ``swept``; ``drift`` is the share by which a speed that is
+    held drifts from the first to the last frame."""
 
-    turn: Floats
+    centre_rev: Floats
     revs: float
-    swept: bool
+    hop_rev: float
+    swept: bool = False
     drift: float = 0.0
 
     @property
-    def drift_turn_rev(self) -> float:
-        """Revolutions by which a speed that drifts unseen may turn the phase."""
-        return float(min(NUMBERS.most_drift_turn_rev, NUMBERS.turn_per_drift * self.drift))
+    def middle(self) -> float:
+        """Crank angle [rev] of the middle of the recording."""
+        return float(0.5 * (self.centre_rev[0] + self.centre_rev[-1]))
+
+    @cached_property
+    def turn(self) -> Floats:
+        """Crank angle [rev] of each frame from the middle of the recording."""
+        return self.centre_rev - self.middle
 
     def noise_of(self, rows: Floats, offset: float) -> Floats:
         """Noise amplitude of each of ``rows`` (rows, frames) of a line at ``offset`` in white noise of unit power.
@@ -79,17 +88,13 @@ class Frames:
         return np.asarray(np.sqrt(np.maximum(power, 1e-3)))
 
 
+def drift_turn_rev(drift: float) -> float:
+    """Revolutions by which a speed that drifts by the share ``drift`` unseen may turn the phase."""
+    return float(min(NUMBERS.most_drift_turn_rev, NUMBERS.turn_per_drift * drift))
+
+
 def zoomed(
-    phasors: Complexes,
-    centre_rev: Floats,
-    *,
-    revs: float,
-    hop_rev: float,
-    swept: bool = False,
-    drift: float = 0.0,
-    noise: Floats | None = None,
-    near: float | None = None,
-    alone: bool = False,
+    phasors: Complexes, frames: Frames, *, noise: Floats | None = None, near: float | None = None, alone: bool = False
 ) -> Zoomed | None:
     """The line in one bin of the frames of one recording, or None where it is too weak there to follow its phase.
 
@@ -100,21 +105,15 @@ def zoomed(
     Parameters
     ----------
     phasors : (channels, frames), complex amplitudes whose phase is that from crank angle 0
-    centre_rev : (frames,), rev, crank angle of the middle of each
-    revs : rev, length of a frame
-    hop_rev : rev, from frame to frame: distances beyond half its reciprocal cannot be told from smaller ones
-    swept : whether the speed changes so much that the structure may turn the phase
-    drift : share by which a speed that is held drifts from the first to the last frame
+    frames : where they stand: distances beyond half the reciprocal of their hop cannot be told from smaller ones
     noise : (channels, frames), noise power of each in a run-up; without it only the phase as a whole is followed
     near : distance from the bin that is expected; None looks everywhere that can be told
     alone : whether no second line is looked for
     """
-    span = float(np.ptp(centre_rev)) if len(centre_rev) else 0.0
-    if len(centre_rev) < 2 or span <= 0.0:
+    span = float(np.ptp(frames.centre_rev)) if len(frames.centre_rev) else 0.0
+    if len(frames.centre_rev) < 2 or span <= 0.0:
         return None
-    middle = 0.5 * (centre_rev[0] + centre_rev[-1])
-    turn = centre_rev - middle
-    frames, given = Frames(turn, revs, swept, drift), phasors
+    turn, hop_rev, swept, given = frames.turn, frames.hop_rev, frames.swept, phasors
     if swept and len(turn) >= 8:
         rows = _polynomials(turn, 2)  # over the smooth growth of a run-up, of the same mean
         growth = np.exp((np.log(np.maximum(np.abs(phasors), 1e-300)) @ rows.T) @ rows)
@@ -126,27 +125,25 @@ def zoomed(
     left = np.maximum(total - power.max(axis=1), 1e-9 * total)
     offset = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
     line = _followed(phasors, frames, offset)
-    second = _second(phasors, frames, line, hop_rev) if not alone and line.snr > NUMBERS.beating_squared else None
+    second = _second(phasors, frames, line) if not alone and line.snr > NUMBERS.beating_squared else None
     if second is not None:
         others = phasors - _waves(second, turn)
         line = _followed(others, frames, line.offset)
         second = _followed(phasors - _waves(line, turn), frames, second.offset)
         if second.snr < NUMBERS.seen_squared:
             second = None
-        elif not swept:
-            line, second = _solved_together(phasors, frames, line, second)
     course = course_of(given, turn, noise) if swept and noise is not None and second is None else None
     if line.snr < NUMBERS.seen_squared and course is None:
         return None
     wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
-    beside_it = None if second is None else replace(second, amplitude=_at_zero(second, middle))
+    beside_it = None if second is None else replace(second, amplitude=_at_zero(second, frames.middle))
     if course is not None:  # it tells the order between the modes that the run-up crosses
         variance = (course.half / NUMBERS.sure_sigmas) ** 2
         line = replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
     elif swept:
         several = 0.0 if second is not None else (NUMBERS.swept_turns_rev / line.span_rev) ** 2
         line = replace(line, swept=True, variance=line.variance + several)
-    return replace(line, amplitude=_at_zero(line, middle), wander=wander, second=beside_it)
+    return replace(line, amplitude=_at_zero(line, frames.middle), wander=wander, second=beside_it)
 
 
 def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> float:
@@ -227,7 +224,7 @@ def _followed(phasors: Complexes, frames: Frames, offset: float) -> Zoomed:
     dof = max(1.0, len(kept) - len(phasors) + 1.0)  # the weights of the channels were fitted to the same waves
     power = float(kept @ kept) / dof
     variance = power * level[1] ** 2 / (2.0 * np.pi * slope) ** 2
-    unknown = NUMBERS.swept_turn_rev if frames.swept else frames.drift_turn_rev
+    unknown = NUMBERS.swept_turn_rev if frames.swept else drift_turn_rev(frames.drift)
     variance += (unknown / float(np.ptp(turn))) ** 2
     snr = len(turn) / max(power * level[0] ** 2, 1e-24)
     error = level[0] * np.sqrt(held / len(kept) / len(turn))
@@ -248,13 +245,13 @@ def _polynomials_of(turn: bytes, degrees: int) -> Floats:
     return rows
 
 
-def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) -> Zoomed | None:
+def _second(phasors: Complexes, frames: Frames, line: Zoomed) -> Zoomed | None:
     """A second line beside ``line``, where noise, a modulation or the skirts of ``line`` would not look like it."""
     turn, span = frames.turn, float(np.ptp(frames.turn))
     if len(turn) < 8:
         return None
     left = phasors - _waves(line, turn)
-    trial = _trials(span, hop_rev)
+    trial = _trials(span, frames.hop_rev)
     apart = np.abs(trial - line.offset) >= NUMBERS.second_cycles / span
     if np.count_nonzero(apart) < 8:
         return None
@@ -278,23 +275,6 @@ def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) ->
     if np.linalg.norm(mirror) > NUMBERS.mirrored_share * np.linalg.norm(second.amplitude):
         return None
     return second if _in_both_halves(phasors, turn, line, second) else None
-
-
-def _solved_together(phasors: Complexes, frames: Frames, line: Zoomed, second: Zoomed) -> tuple[Zoomed, Zoomed]:
-    """``line`` and ``second`` as the least squares of both say; as they are where these do not settle."""
-    pair = solved_pair(phasors, frames.turn, revs=frames.revs, offset=(line.offset, second.offset))
-    if pair is None:
-        return line, second
-    drift = (frames.drift_turn_rev / line.span_rev) ** 2
-
-    def solved(k: int, started: Zoomed) -> Zoomed:
-        size, error = pair.amplitude[:, k], pair.error[:, k]
-        snr = min(float(np.max(np.square(np.abs(size) / np.maximum(error, 1e-300)))), 1e24)
-        offset, variance = float(pair.offset[k]), float(pair.variance[k]) + drift
-        started = replace(started, offset=offset, variance=variance, dof=pair.degrees_of_freedom)
-        return replace(started, amplitude=size, error=error, snr=snr)
-
-    return solved(0, line), solved(1, second)
 
 
 def _in_both_halves(phasors: Complexes, turn: Floats, line: Zoomed, second: Zoomed) -> bool:
@@ -384,149 +364,3 @@ def course_of(phasors: Complexes, turn: Floats, noise: Floats) -> Course | None:
     half = 0.5 * float(spans[first]) + NUMBERS.sure_sigmas * noise_of_slope / float(np.sqrt(independent)) + tails
     reach = NUMBERS.sure_sigmas * noise_of_slope + tails
     return Course(offset, half, slopes, reach, float(along[-1]), alike, len(step))
-
-
-PAIR_NUMBERS = MethodNumbers("5-identify-lines.toml", "close_pair")
-
-STEPS = 12
-"""Gauss-Newton steps: a start within half a cycle of the recording needs six."""
-
-SETTLED = 1e-9
-"""Cycles over the recording by which a step moves lines that are found."""
-
-LONGEST_STEP = 0.25
-"""Cycles over the recording by which a step moves a line at most."""
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Two lines: their ``offset`` and ``variance`` (2,) [orders], amplitudes and errors (channels, 2).
-
-    ``amplitude`` is complex, at the middle of the recording; ``error``, with ``degrees_of_freedom``, is its standard
-    error along one axis.
-    """
-
-    offset: Floats
-    variance: Floats
-    amplitude: Complexes
-    error: Floats
-    degrees_of_freedom: float
-
-
-def solved_pair(phasors: Complexes, turn: Floats, *, revs: float, offset: tuple[float, float]) -> Pair | None:
-    """The two lines near ``offset`` that leave least of ``phasors``; None where these do not settle apart.
-
-    Both turn by exact steps from frame to frame; amplitudes follow linearly from the orders and are eliminated (Golub
-    and Pereyra 1973). Frames that overlap share noise and are made white first. Channels may share noise too: the
-    errors allow for what is left of them together.
-
-    Parameters
-    ----------
-    phasors : (channels, frames), complex amplitudes in one bin
-    turn : (frames,), rev, crank angle of the middle of each frame from that of the recording
-    revs : rev, length of a frame
-    offset : orders from the bin at which the search begins
-    """
-    span, white = float(np.ptp(turn)), whitening(turn, revs_per_frame=revs)
-    data, at = white @ phasors.T, np.array(offset)
-    for _ in range(STEPS):
-        basis, slopes = _bases(white, turn, at)
-        amplitude, left, inverse = _linear(basis, data)
-        noise = np.maximum(np.square(np.abs(left)).sum(axis=0), 1e-24 * np.square(np.abs(data)).sum(axis=0))
-        score, normal = _normal(_residual_change(basis, slopes, amplitude, inverse), left, 1.0 / noise)
-        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), score)
-        if np.abs(step).max() * span < SETTLED:
-            break
-        at = at + np.clip(step, -LONGEST_STEP / span, LONGEST_STEP / span)
-        if abs(at[1] - at[0]) * span < LONGEST_STEP:
-            return None
-    basis, slopes = _bases(white, turn, at)
-    return _with_errors(basis, slopes, data, turn, at)
-
-
-def _bases(white: Floats, turn: Floats, at: Floats) -> tuple[Complexes, Complexes]:
-    """White waves (frames, 2) of lines ``at`` (2,) and their derivatives by it."""
-    waves = np.exp(2j * np.pi * np.outer(turn, at))
-    return white @ waves, white @ (2j * np.pi * turn[:, None] * waves)
-
-
-def _linear(basis: Complexes, data: Complexes) -> tuple[Complexes, Complexes, Complexes]:
-    """Amplitudes (2, channels) of ``basis`` in ``data`` (frames, channels), what is left, and the inverse."""
-    back = basis.conj().T
-    inverse = np.asarray(np.linalg.solve(back @ basis, back), dtype=np.complex128)
-    amplitude = inverse @ data
-    return amplitude, data - basis @ amplitude, inverse
-
-
-def _residual_change(basis: Complexes, slopes: Complexes, amplitude: Complexes, inverse: Complexes) -> Complexes:
-    """What moving each line changes beyond its amplitude: (2, channels, frames)."""
-    change = slopes.T[:, None, :] * amplitude[:, :, None]
-    return np.asarray(change - (change @ inverse.T) @ basis.T)
-
-
-def _normal(moved: Complexes, left: Complexes, weight: Floats) -> tuple[Floats, Floats]:
-    """Score (2,) and normal matrix (2, 2) of the orders from how these have ``moved``, channels by ``weight``."""
-    rows = (moved * np.sqrt(weight)[None, :, None]).reshape(2, -1)
-    score = (rows.conj() @ (left.T * np.sqrt(weight)[:, None]).ravel()).real
-    return score, np.asarray((rows.conj() @ rows.T).real)
-
-
-def _with_errors(basis: Complexes, slopes: Complexes, data: Complexes, turn: Floats, at: Floats) -> Pair:
-    """The two lines solved ``at`` (2,), with the standard errors of their orders and amplitudes."""
-    amplitude, left, inverse = _linear(basis, data)
-    degrees_of_freedom = max(2.0 * len(left) - 4.0 - 2.0, 1.0)
-    shared = left.conj().T @ left * (2.0 / degrees_of_freedom)  # noise power of the channels and what they share
-    power = np.maximum(np.diag(shared).real, 1e-24 * np.square(np.abs(data)).mean(axis=0))
-    weight = 1.0 / power
-    moved = _residual_change(basis, slopes, amplitude, inverse)
-    _, normal = _normal(moved, left, weight)
-    back = np.linalg.inv(normal)
-    middle = 0.5 * np.einsum("lcf,mdf,dc,c,d->lm", moved.conj(), moved, shared, weight, weight).real
-    covariance = back @ middle @ back
-    louder = np.array([_slow_noise_ratio(left, turn, offset) for offset in at])
-    turned = -np.einsum("bf,fl,lc->bcl", inverse, slopes, amplitude)  # how amplitudes follow the orders
-    unit = amplitude / np.maximum(np.abs(amplitude), 1e-300)
-    along = np.square((turned * unit.conj()[:, :, None]).real) @ np.diag(covariance)
-    own = 0.5 * np.square(np.abs(inverse)).sum(axis=1)[:, None] * power[None, :]
-    error = np.sqrt((own + along) * louder[:, None])
-    return Pair(at, np.diag(covariance) * louder, np.asarray(amplitude.T), np.asarray(error.T), degrees_of_freedom)
-
-
-def _slow_noise_ratio(left: Complexes, turn: Floats, at: float) -> float:
-    """Ratio (≥ 1) of the noise power close to the line ``at`` to that of all that is ``left`` (frames, channels)."""
-    n = len(turn)
-    if n < 4 * PAIR_NUMBERS.slow_waves:
-        return 1.0
-    cycles = [k for k in range(-PAIR_NUMBERS.slow_waves, PAIR_NUMBERS.slow_waves + 1) if k]
-    near = np.array(cycles) / float(np.ptp(turn)) + at
-    waves = np.exp(-2j * np.pi * np.outer(near, turn))
-    slow = np.square(np.abs(waves @ left)).mean(axis=0) / n
-    return float(max(1.0, np.median(slow / np.maximum(np.square(np.abs(left)).mean(axis=0), 1e-300))))
-
-
-def unaliased(
-    phasors: Complexes, turn: Floats, *, offsets: tuple[float, float], resolution: float, hop_rev: float
-) -> float:
-    """The second of two ``offsets``, moved by whole turns a step to where the bins beside say that it is.
-
-    From frame to frame the phase of a line tells its order but for multiples of 1 / ``hop_rev``; the share that each
-    bin holds of it tells which.
-
-    Parameters
-    ----------
-    phasors : (channels, bins, frames) in ``side_bins`` bins on each side of that of the lines and in itself
-    turn : (frames,), rev, crank angle of the middle of each frame from that of the recording
-    offsets : orders from the bin, of the first line and the second
-    resolution : orders, from bin to bin
-    hop_rev : rev, from frame to frame
-    """
-    places = np.arange(phasors.shape[1]) - PAIR_NUMBERS.side_bins
-    back = phasors * np.exp(2j * np.pi * resolution * np.outer(places, turn))
-    basis = np.exp(2j * np.pi * np.outer(turn, offsets))
-    share = np.abs(np.einsum("f,cbf->cb", np.linalg.pinv(basis)[1], back))
-    candidates = [offsets[1] + k / hop_rev for k in (-1, 0, 1)]
-    scores = []
-    for candidate in candidates:
-        lobe = np.abs(np.sinc(candidate / resolution - places) / (1.0 - (candidate / resolution - places) ** 2 + 1e-9))
-        scores.append(float((share @ lobe).sum() / np.linalg.norm(lobe)))
-    return candidates[int(np.argmax(scores))]

@@ -8,20 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import AgreedOrder, AgreedOrders, Doubt, ModalFit, OrderLine, Tone
+from crankorder.identify.found import AgreedOrder, AgreedOrders, Doubt, ModalFit, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.known_lines import LOBE_BINS, Held, LineSeen, Sighting, found_near
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.lines.known_lines import LineSeen, found_near
 from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple
 from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.mains import multiples_near, shown_amplitudes, with_mains_tones
 from crankorder.identify.lines.several_orders import (
-    DEGREES_OF_FREEDOM,
+    lines_of_sightings,
     lines_within,
     several_lines,
     unparted_reach,
 )
 from crankorder.identify.modes.tones import NEAR_BINS, times_mains, with_one_mains
+from crankorder.orders.joint_lines import LOBE_BINS, HeldFrames, Place, Sighting
+from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.settings import IdentifySettings
 
 PARTED = "parted by each of {} recordings, in which the orders of the shaft move and it does not"
@@ -32,12 +34,17 @@ class _Parted:
     """One line of a test as several recordings hold it: at ``hertz`` (at the speed of each) or at an ``order``."""
 
     fixed: bool
-    seen: tuple[tuple[Held, Sighting], ...]
+    seen: tuple[tuple[HeldFrames, Sighting], ...]
 
     @property
     def places(self) -> np.ndarray:
         """Frequency in Hz of what stays, order of what goes with the shaft, by recording."""
         return np.array([line.order * (held.rpm / 60.0 if self.fixed else 1.0) for held, line in self.seen])
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Of the errors of the line in a recording, at least."""
+        return min(line.degrees_of_freedom for _, line in self.seen)
 
     @property
     def error(self) -> float:
@@ -50,11 +57,11 @@ class _Parted:
 def with_tones_settled(
     orders: AgreedOrders,
     modal: ModalFit,
-    held: Sequence[Held],
+    held: Sequence[HeldFrames],
     known: Sequence[LineSeen],
     order_map: xr.Dataset,
     *,
-    parted: Sequence[Held],
+    parted: Sequence[HeldFrames],
     settings: IdentifySettings,
 ) -> tuple[AgreedOrders, ModalFit]:
     """``orders`` and ``modal`` with each tone as the recordings hold it: one line or several, mains, or an order.
@@ -69,7 +76,12 @@ def with_tones_settled(
 
 
 def with_lines_of_recordings(
-    orders: AgreedOrders, modal: ModalFit, held: Sequence[Held], order_map: xr.Dataset, *, settings: IdentifySettings
+    orders: AgreedOrders,
+    modal: ModalFit,
+    held: Sequence[HeldFrames],
+    order_map: xr.Dataset,
+    *,
+    settings: IdentifySettings,
 ) -> tuple[AgreedOrders, ModalFit]:
     """``orders`` and ``modal`` where tones stand that the map holds as one with others, or that may be orders.
 
@@ -87,20 +99,17 @@ def with_lines_of_recordings(
     settings : ``mode_speed_ratio``, up to which speeds differ little, and the mains
     """
     speeds = [recording.rpm for recording in held]
-    if len(held) < 2 or len(modal.frequency_hz) < 2 or max(speeds) > settings.mode_speed_ratio * min(speeds):
+    if len(held) < 2 or not modal.step_hz or max(speeds) > settings.mode_speed_ratio * min(speeds):
         return orders, modal
-    step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
-    tones, agreed, changed = list(modal.tones), list(orders), False
-    for low, high in _regions(modal.tones, NEAR_BINS * step):
-        lines = _parted(held, low, high)
-        if not lines:
-            continue
+    regions = _regions(modal.tones, NEAR_BINS * modal.step_hz)
+    parted_in = {region: lines for region in regions if (lines := _parted(held, *region))}
+    if not parted_in:
+        return orders, modal
+    tones, agreed = list(modal.tones), list(orders)
+    for (low, high), lines in parted_in.items():
         tones = [tone for tone in tones if not low <= tone.frequency_hz <= high]
         tones += [tone for line in lines if line.fixed and (tone := _tone(line, settings)).amplitude]
-        changed = True
         agreed = _with_orders(agreed, [line for line in lines if not line.fixed], (low, high), held, order_map)
-    if not changed:
-        return orders, modal
     tones.sort(key=lambda tone: tone.frequency_hz)
     parted = replace(modal, tones=with_one_mains(tones, settings=settings))
     return tuple(sorted(agreed, key=lambda order: order.order)), parted
@@ -118,7 +127,7 @@ def _regions(tones: Sequence[Tone], reach_hz: float) -> list[tuple[float, float]
     return bands
 
 
-def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted]:
+def _parted(held: Sequence[HeldFrames], low_hz: float, high_hz: float) -> list[_Parted]:
     """Lines between both frequencies as the recordings agree on them; none where they do not, or do not tell."""
     solved = [
         (run, lines)
@@ -142,7 +151,7 @@ def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted
 
 
 def _chain(
-    solved: Sequence[tuple[Held, list[Sighting]]],
+    solved: Sequence[tuple[HeldFrames, list[Sighting]]],
     first: tuple[int, int],
     free: Iterable[tuple[int, int]],
     band_hz: tuple[float, float],
@@ -160,11 +169,11 @@ def _chain(
         if k == first[0]:
             continue
         wanted = line.order * own.rpm / held.rpm if fixed else line.order
-        room = 0.5 * KNOWN_LINES.apart_cycles / min(held.span_rev, own.span_rev)
+        room = 0.5 * JOINT_LINES.apart_cycles / min(held.span_rev, own.span_rev)
         if fixed:
             room = max(room, KNOWN_LINES.same_hz * 60.0 / held.rpm)
         near = [n for n in range(len(lines)) if (k, n) in free and abs(lines[n].order - wanted) <= room]
-        hidden = any(abs(other.order - wanted) * held.span_rev < 2.0 * KNOWN_LINES.apart_cycles for other in lines)
+        hidden = any(abs(other.order - wanted) * held.span_rev < 2.0 * JOINT_LINES.apart_cycles for other in lines)
         low, high = (wanted - room) * held.rpm / 60.0, (wanted + 2.0 * room) * held.rpm / 60.0
         outside = not band_hz[0] < low < high < band_hz[1]
         if near:
@@ -177,9 +186,7 @@ def _chain(
 def _tone(parted: _Parted, settings: IdentifySettings) -> Tone:
     """The fixed line ``parted``, in the channels that show it; mains where it may be."""
     hertz, error = float(parted.places.mean()), parted.error
-    size, own = (np.array([getattr(line, key) for _, line in parted.seen]) for key in ("amplitude", "error"))
-    mean = np.array([of_channel.mean() for of_channel in size.T])
-    amplitude = shown_amplitudes(parted.seen[0][0].channels, mean, size, own)
+    amplitude = shown_amplitudes(parted.seen)
     near = multiples_near(hertz, error, settings=settings)
     words = f"no damping, {times_mains(*near[0])}" if near else "no damping"
     return Tone(hertz, error, "mains" if near else "tone", amplitude, f"{words}; {PARTED.format(len(parted.seen))}")
@@ -189,13 +196,13 @@ def _with_orders(
     orders: list[AgreedOrder],
     parted: Sequence[_Parted],
     band_hz: tuple[float, float],
-    held: Sequence[Held],
+    held: Sequence[HeldFrames],
     order_map: xr.Dataset,
 ) -> list[AgreedOrder]:
     """``orders`` and those ``parted`` in the band that are not among them, without those that no recording has."""
     kept: list[AgreedOrder] = []
     places = [float(line.places.mean()) for line in parted]
-    room = KNOWN_LINES.apart_cycles / min(recording.span_rev for recording in held)
+    room = JOINT_LINES.apart_cycles / min(recording.span_rev for recording in held)
     for agreed in orders:
         in_band = all(band_hz[0] <= agreed.order * recording.rpm / 60.0 <= band_hz[1] for recording in held)
         if not in_band or any(abs(agreed.order - place) < room for place in places):
@@ -211,36 +218,21 @@ def _with_orders(
 def _agreed(parted: _Parted, order_map: xr.Dataset) -> AgreedOrder:
     """The order ``parted`` with a line for each channel that shows it."""
     turns = int(order_map.attrs["revs_per_cycle"])
-    order, error = float(parted.places.mean()), parted.error
-    lock = lock_of(order, error, DEGREES_OF_FREEDOM, revs_per_cycle=turns, by_phase=True)
+    order, error, freedom = float(parted.places.mean()), parted.error, parted.degrees_of_freedom
+    lock = lock_of(order, error, freedom, revs_per_cycle=turns, by_phase=True)
     if lock == "locked":
         exact = nearest_multiple(order, revs_per_cycle=turns)
         order, error = exact, max(error, abs(order - exact) / Z95)
     doubt = Doubt("close lines", f"{len(parted.seen)} recordings part it from what stands beside it")
-    channels = enumerate(parted.seen[0][0].channels)
-    lines = tuple(line for k, name in channels if (line := _line(parted, k, name, order, error, order_map)))
-    return AgreedOrder(order, error, DEGREES_OF_FREEDOM, lock, None, lines, (doubt,))
-
-
-def _line(
-    parted: _Parted, channel: int, name: str, order: float, error: float, order_map: xr.Dataset
-) -> OrderLine | None:
-    """Order line of ``parted`` in the channel number ``channel``, by its ``name``; None where no row shows it."""
-    speed = np.asarray(order_map["speed"].values, dtype=np.float64)
-    rows = {int(np.nanargmin(np.abs(speed - held.rpm))): (held.rpm, line) for held, line in parted.seen}
-    parts = [(row, rpm, line.amplitude[channel], line.error[channel]) for row, (rpm, line) in rows.items()]
-    clear = sorted(part for part in parts if part[2] > Z95 * part[3])
-    if not clear:
-        return None
-    seen, rpm, size, own = (np.array(column) for column in zip(*clear, strict=True))
-    return OrderLine.steady(name, (order, error), (seen, rpm, size, own), DEGREES_OF_FREEDOM)
+    lines = lines_of_sightings(parted.seen, (order, error), order_map)
+    return AgreedOrder(order, error, freedom, lock, None, lines, (doubt,))
 
 
 UNPARTED = "several lines that the recordings are too short to part, or one that swells"
 """What is said of a tone that is no single steady line."""
 
 
-def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
+def with_tones_parted(modal: ModalFit, held: Sequence[HeldFrames]) -> ModalFit:
     """``modal`` without tones that are the flank of a stronger one, and with intervals that hold all lines of a tone.
 
     Lines closer than the main lobe of the map's window are one there; what the fit of the stronger leaves beside it is
@@ -248,9 +240,9 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
     tone, its interval holds all of them and its evidence names them; where it shows that the tone is no single line and
     does not part it, the intervals of frequency and amplitude are as wide as that leaves open.
     """
-    if len(modal.frequency_hz) < 2 or not modal.tones:
+    step = modal.step_hz
+    if not step or not modal.tones:
         return modal
-    step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
     longest = max(held, key=lambda recording: recording.span_rev, default=None)
     lines = {tone.frequency_hz: _lines_near(longest, tone.frequency_hz, NEAR_BINS * step) for tone in modal.tones}
     kept = [
@@ -269,7 +261,7 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
     return replace(modal, tones=tuple(tones))
 
 
-def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: IdentifySettings) -> ModalFit:
+def without_absent_mains(modal: ModalFit, held: Sequence[HeldFrames], *, settings: IdentifySettings) -> ModalFit:
     """``modal`` with higher multiples of the mains called tones where one of the recordings ``held`` has none there.
 
     A supply is there at every speed; what stands near one of its many multiples at some speeds is something else, but
@@ -277,16 +269,15 @@ def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: Ide
     be mains or an order is an order where most recordings whose shaft has none there do not show it.
     ``settings``: the mains frequencies and how far they wander.
     """
-    if len(modal.frequency_hz) < 2:
+    if not modal.step_hz:
         return modal
-    step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
     mains = [tone for tone in modal.tones if tone.kind == "mains"]
     alone_hz = MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
     supplies = [tone for tone in mains if not tone.frequency_hz > alone_hz]
     high = [tone for tone in mains if tone not in supplies]
     doubted = [tone for tone in high if not any(_is_multiple(tone, supply, settings) for supply in supplies)]
     doubted += [tone for tone in modal.tones if tone.kind == "mains or order"]
-    tones = [_unless_absent(tone, held, step) if tone in doubted else tone for tone in modal.tones]
+    tones = [_unless_absent(tone, held, modal.step_hz) if tone in doubted else tone for tone in modal.tones]
     return replace(modal, tones=tuple(tones))
 
 
@@ -300,14 +291,14 @@ def _is_multiple(tone: Tone, supply: Tone, settings: IdentifySettings) -> bool:
     return False
 
 
-def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
+def _unless_absent(tone: Tone, held: Sequence[HeldFrames], reach_hz: float) -> Tone:
     """``tone``, or no mains where a recording has none there although no order of its shaft hides the place.
 
     What may be an order as well is no mains where most of such recordings have none.
     """
     place = tone.frequency_hz
-    inside = [run for run in held if run.order_of((place + reach_hz, 0.0)) + LOBE_BINS / run.revs < run.axis[-1]]
-    inside = [run for run in inside if not run.hides(place)]
+    inside = [run for run in held if run.reaches(1.0, run.order_of(Place(place + reach_hz)))]
+    inside = [run for run in inside if not run.is_half(run.order_of(Place(place)))]
     shown = sum(found_near(run, place - reach_hz, place + reach_hz) is not None for run in inside)
     either = tone.kind == "mains or order"
     if not inside or shown >= (0.5 if either else 1.0) * len(inside):
@@ -321,20 +312,20 @@ def _is_flank(tone: Tone, other: Tone, reach_hz: float) -> bool:
     return size < more and abs(tone.frequency_hz - other.frequency_hz) < reach_hz
 
 
-def _unless_several(tone: Tone, centres_hz: Sequence[float], held: Held | None, reach_hz: float) -> Tone:
+def _unless_several(tone: Tone, centres_hz: Sequence[float], held: HeldFrames | None, reach_hz: float) -> Tone:
     """``tone``, or with wide intervals where ``held`` shows several lines there that it does not part.
 
     ``centres_hz``: all tones, which take part where they are within ``reach_hz``.
     """
     if held is None:
         return tone
-    turn_hz, beyond = held.rpm / 60.0, LOBE_BINS / held.revs
+    turn_hz = held.rpm / 60.0
     low, high = (tone.frequency_hz - reach_hz) / turn_hz, (tone.frequency_hz + reach_hz) / turn_hz
-    if low - beyond <= 0.0 or high + beyond >= held.axis[-1] or several_lines(held, low, high, beyond=beyond):
+    if not held.reaches(low, high) or several_lines(held, low, high, beyond=LOBE_BINS / held.revs):
         return tone
     orders = [hertz / turn_hz for hertz in centres_hz if abs(hertz - tone.frequency_hz) <= reach_hz]
     halves = 0.5 * np.arange(np.ceil(2.0 * low), np.floor(2.0 * high) + 1.0)
-    orders += [half for half in halves.tolist() if _beside(half, orders) * held.span_rev > KNOWN_LINES.apart_cycles]
+    orders += [half for half in halves.tolist() if _beside(half, orders) * held.span_rev > JOINT_LINES.apart_cycles]
     ends = unparted_reach(held, low, high, orders)
     if ends is None:
         return tone
@@ -349,7 +340,7 @@ def _beside(order: float, orders: Sequence[float]) -> float:
     return min(abs(order - other) for other in orders)
 
 
-def _lines_near(held: Held | None, hertz: float, reach_hz: float) -> list[float]:
+def _lines_near(held: HeldFrames | None, hertz: float, reach_hz: float) -> list[float]:
     """Frequencies in Hz of the lines of ``held`` within ``reach_hz`` that are no half orders of its shaft."""
     if held is None:
         return []
@@ -372,12 +363,6 @@ def without_doubles(modal: ModalFit) -> ModalFit:
 
     Lines closer than the main lobe of the window are one in the map; such a one is what the fit of the stronger left.
     """
-    if len(modal.frequency_hz) < 2:
-        return modal
-    reach = NEAR_BINS * float(modal.frequency_hz[1] - modal.frequency_hz[0])
-    kept = tuple(
-        tone
-        for tone in modal.tones
-        if "order" not in tone.kind or not any(_is_flank(tone, other, reach) for other in modal.tones)
-    )
-    return replace(modal, tones=kept)
+    reach = NEAR_BINS * modal.step_hz
+    flanks = [tone for tone in modal.tones if any(_is_flank(tone, other, reach) for other in modal.tones)]
+    return replace(modal, tones=tuple(t for t in modal.tones if "order" not in t.kind or t not in flanks))

@@ -27,14 +27,13 @@ from crankorder.identify.modes.order_blocks import blocks_of
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.order_modes import (
     Proof,
-    hidden_speeds,
     is_proven,
     is_shown,
     mode_of,
     proven_by,
     tone_as_mode,
 )
-from crankorder.identify.modes.order_responses import Block, fitting, responses_of
+from crankorder.identify.modes.order_responses import Block, fitting, responses_of, with_best_law
 from crankorder.identify.modes.order_search import Settled, orders_raised, poles_of_orders, settled
 from crankorder.identify.modes.pole_errors import covariance_of_all, pole_covariance, side_by_side
 from crankorder.identify.modes.responses import floor_bound, least_seen
@@ -164,10 +163,13 @@ def modal_fit(
     ``campbell`` (CampbellMap) and ``order_map`` (OrderMap) are the maps of the test, ``orders`` what was found in the
     latter, ``followed`` (RecordingTracks) how they ran along sweeps, ``swept`` what the signals of these tell;
     ``settings`` state the false-alarm level and what counts as a mode. The floor that the order lines leave, in all
-    channels, and amplitude and phase of the orders over the speeds are fitted by one set of poles, band by band where
-    the map is long; poles that only orders show are looked for in all of them, but where ``swept`` tells them.
+    channels, and amplitude and phase of the orders over speeds that were held are fitted by one set of poles, band by
+    band where the map is long; poles that only orders show are looked for in all of them, but where ``swept`` tells
+    them. Orders of sweeps tell no poles here, only how they answer the modes.
     """
-    blocks = blocks_of(order_map, orders, followed)
+    every = blocks_of(order_map, orders, followed)
+    held = tuple(block for block in every if not block.rows.recording)
+    along = tuple(block for block in every if block.rows.recording)
     floor = _floor(campbell, order_map, orders)
     fitted: list[Fitted] = []
     whirls: tuple[Whirl, ...] = ()
@@ -182,7 +184,7 @@ def modal_fit(
     fixed, spread = poles_of(swept.poles)
     known, covariance = _known(fitted, swept)
     both, most = side_by_side([covariance, spread]), 0 if swept.poles else None
-    blocks, extra, ended = poles_of_orders(blocks, known.joined(fixed), both, settings=settings, most_poles=most)
+    blocks, extra, ended = poles_of_orders(held, known.joined(fixed), both, settings=settings, most_poles=most)
     of_orders = poles_at((pole.frequency_hz, pole.damping) for pole in extra)
     of_orders = of_orders.chosen(of_orders.rank)
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
@@ -204,18 +206,10 @@ def modal_fit(
         floors=[bound for bound in bounds if bound is not None],
         sweeps=swept.hiding,
     )
-    modal = _with_order_modes(by_floor, kept, by_orders, excluded, settings)
+    modal = _with_order_modes(by_floor, kept, by_orders, along, excluded, settings)
     modal = replace(
         modal,
         modes=of_the_air(modal.modes, campbell),
-        hidden=hidden_speeds(
-            by_orders.blocks,
-            modal.modes,
-            revs_per_cycle=int(order_map.attrs["revs_per_cycle"]),
-            least_damping=settings.least_damping_ratio,
-            looked_hz=swept.looked_hz,
-        ),
-        swings=by_orders.swings,
         shown_orders=swept.shown_orders,
         left=_left(fitted, floor, by_orders.blocks if not ended else (), swept),
     )
@@ -240,7 +234,7 @@ def _left(
         bands = np.clip([local.band.range_hz for local in fitted if local.stopped], *floor.frequency_hz[[0, -1]])
         left += [Unsearched("floor", float(low), float(high)) for low, high in bands]
     if unended:
-        ends = np.array([block.ends_hz for block in unended])
+        ends = np.array([block.rows.ends_hz for block in unended])
         left.append(Unsearched("orders", float(ends.min()), float(ends.max())))
     return tuple(left)
 
@@ -295,15 +289,17 @@ def _with_order_modes(
     fit: ModalFit,
     kept: Poles,
     by_orders: Settled,
+    along: Sequence[Block],
     excluded: Callable[[Sequence[Block], Poles], tuple[UnseenBound, ...]],
     settings: IdentifySettings,
 ) -> ModalFit:
     """``fit``, whose modes are the poles ``kept``, with those that only orders show (``by_orders``), lowest first.
 
-    ``excluded`` says what blocks leave open beside poles.
+    ``along``: blocks of sweeps; ``excluded`` says what blocks leave open beside poles.
     """
-    extra, blocks = by_orders.found, by_orders.blocks
+    extra = by_orders.found
     every = kept.joined(poles_at((pole.frequency_hz, pole.damping) for pole in extra))
+    blocks = (*by_orders.blocks, *(with_best_law(block, every) for block in along))
     said = [
         mode_of(pole, covariance_among(by_orders.covariance, [k]), every, settings=settings)
         for k, pole in enumerate(extra)

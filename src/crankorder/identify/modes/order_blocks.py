@@ -4,24 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, OrderLine, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple, proves_speed, speed_source
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modes.order_responses import Block
-from crankorder.identify.modes.order_terms import Passage, passage_of, smooth_shapes
+from crankorder.identify.modes.order_responses import Block, Rows
 from crankorder.orders.intervals import WHOLE, one_phase_reference, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "order_blocks")
+
+TURNS_SURELY = "turns_surely"
+"""Attribute of the tracks of a sweep: whether its angle is so sure that its signals were asked for modes."""
+
+UNTOLD_HZ = 1e9
+"""Blur of rows of a sweep whose signals were not asked: a mode may ring in them as it likes, and none is excluded."""
 
 
 def blocks_of(order_map: xr.Dataset, orders: AgreedOrders, followed: Sequence[xr.Dataset] = ()) -> tuple[Block, ...]:
@@ -52,21 +55,22 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     speed = order_map["speed"].values
     known = np.isfinite(size) & (error > 0.0) & (degrees_of_freedom >= NUMBERS.least_degrees_of_freedom) & (speed > 0.0)
     wide = np.where(known, error * np.sqrt(degrees_of_freedom / np.maximum(degrees_of_freedom - 2.0, 1.0)), np.inf)
-    names = [str(name) for name in order_map["channel"].values]
-    phasor = size * np.exp(1j * np.radians(np.nan_to_num(phase)))
+    names = tuple(str(name) for name in order_map["channel"].values)
+    phasor = np.asarray(size * np.exp(1j * np.radians(np.nan_to_num(phase))), dtype=np.complex128)
+    rows = Rows(agreed.order, names, agreed.order * speed / 60.0, speed, phasor, wide)
     has_phase = bool(np.isfinite(phase[known]).all())
     if has_phase and phases_compare([order_map], np.array([agreed.order]))[0]:
-        return [_block(agreed.order, names, speed, phasor, wide)]
+        return [_block(rows)]
     half = abs(2.0 * agreed.order - round(2.0 * agreed.order)) < 2.0 * WHOLE  # after a turn as it was, or of other sign
     if has_phase and one_phase_reference([order_map]) and half:
-        block = _block(agreed.order, names, speed, phasor, wide)
+        block = _block(replace(rows, sign_free=True))
         if block is None:
             return []
         # signs by which each row turns least from the one before
-        beside = np.sum((block.amplitude[:, :-1].conj() * block.amplitude[:, 1:]).real, axis=0)
-        sign = np.cumprod(np.append(1.0, np.where(beside < 0.0, -1.0, 1.0)))
-        return [replace(block, amplitude=block.amplitude * sign, sign_free=True)]
-    block = _block(agreed.order, names, speed, phasor, wide, power=True)
+        amplitude = block.rows.amplitude
+        beside = np.sum((amplitude[:, :-1].conj() * amplitude[:, 1:]).real, axis=0)
+        return [block.turned(np.cumprod(np.append(1.0, np.where(beside < 0.0, -1.0, 1.0))))]
+    block = _block(rows, parts=2)
     return [block and block.squared]
 
 
@@ -74,111 +78,81 @@ def _of_sizes(order: float, line: OrderLine) -> Block | None:
     """Block of the squares of ``line``, whose phase is none of the shaft's."""
     error = line.amplitude_error[None]
     error = np.where(np.isfinite(error) & (error > 0.0) & (line.speed_rpm > 0.0), error, np.inf)
-    block = _block(order, [line.channel], line.speed_rpm, line.amplitude[None], error, power=True)
+    speed, size = line.speed_rpm, line.amplitude[None].astype(np.complex128)
+    block = _block(Rows(order, (line.channel,), order * speed / 60.0, speed, size, error), parts=2)
     return block and block.squared
 
 
-def _block(
-    order: float,
-    names: list[str],
-    speed: Floats,
-    amplitude: NDArray[np.inexact[Any]],
-    error: Floats,
-    *,
-    power: bool = False,
-    followed: float | None = None,
-    **along: Any,
-) -> Block | None:
-    """Block of the channels that stand out at enough speeds; None where none does.
+def _block(rows: Rows, *, parts: int = 1) -> Block | None:
+    """Block of those channels of ``rows`` that stand out at enough speeds; None where none does.
 
-    ``followed`` is the number under which the order was followed, if not ``order``: it says the frequency.
+    ``parts``: amplitudes that an unknown takes, 2 where they are squares or neighbours tell the same.
     """
-    known = np.isfinite(error)
-    held = np.where(known, amplitude, 0.0)
-    clear = (np.abs(held) > NUMBERS.clear_sigmas * np.where(known, error, np.inf)).any(axis=1)
-    clear &= np.count_nonzero(known, axis=1) >= (2 if power or along else 1) * ORDER_RESPONSES.spare_amplitudes + 1
+    known = np.isfinite(rows.error)
+    held = np.where(known, rows.amplitude, 0.0)
+    clear = (np.abs(held) > NUMBERS.clear_sigmas * np.where(known, rows.error, np.inf)).any(axis=1)
+    clear &= np.count_nonzero(known, axis=1) >= parts * ORDER_RESPONSES.spare_amplitudes + 1
     if not clear.any():
         return None
-    rows = known[clear].any(axis=0) | bool(along)  # a passage knows all of its rows
-    kept = np.ix_(clear, rows)
-    return Block(
-        order,
-        tuple(name for name, is_clear in zip(names, clear.tolist(), strict=True) if is_clear),
-        (followed or order) * speed[rows] / 60.0,
-        speed[rows],
-        np.asarray(held[kept], dtype=np.complex128),
-        error[kept],
-        float(speed[rows].max()),
-        power=power,
-        **along,
+    at = known[clear].any(axis=0)
+    kept = np.ix_(clear, at)
+    names = tuple(name for name, is_clear in zip(rows.channels, clear.tolist(), strict=True) if is_clear)
+    hertz, speed, amplitude = rows.frequency_hz[at], rows.speed_rpm[at], np.asarray(held[kept], dtype=np.complex128)
+    return Block.of(
+        replace(rows, channels=names, frequency_hz=hertz, speed_rpm=speed, amplitude=amplitude, error=rows.error[kept])
     )
 
 
 def _swept_block(agreed: AgreedOrder, tracks: xr.Dataset) -> Block | None:
-    """Block of one recording whose speed sweeps; None where the order was not followed there."""
+    """Block of one recording whose speed sweeps; None where the order was not followed there.
+
+    The number under which it was followed says the frequency.
+    """
     swept = swept_rows(agreed.order, tracks)
     if swept is None:
         return None
-    rows, passage = swept
-    amplitude, error = rows["amplitude"].values, rows["standard_error"].values
-    return _block(
+    amplitude, error = swept["held_amplitude"].values, swept["standard_error"].values
+    speed, hertz = swept["speed"].values, float(swept["order"]) * tracks["speed"].values / 60.0
+    rate = float(np.median(np.abs(np.gradient(hertz, tracks["time"].values))))
+    blur_hz = 0.5 * float(np.sqrt(rate)) if tracks.attrs.get(TURNS_SURELY, 1) else UNTOLD_HZ
+    rows = Rows(
         agreed.order,
-        [str(name) for name in tracks["channel"].values],
-        rows["speed"].values,
+        tuple(str(name) for name in tracks["channel"].values),
+        float(swept["order"]) * speed / 60.0,
+        speed,
         np.nan_to_num(amplitude),
         np.where(np.isfinite(amplitude.real) & (error > 0.0), error, np.inf),
-        followed=float(rows["order"]),
-        passage=passage,
         recording=str(tracks.attrs["recording"]),
+        blur_hz=blur_hz,
     )
+    return _block(rows, parts=2)
 
 
-def swept_rows(order: float, tracks: xr.Dataset) -> tuple[xr.Dataset, Passage] | None:
-    """Rows (channel, frame) of ``order`` in the RecordingTracks ``tracks``, apart in noise, and how it passed them.
+def swept_rows(order: float, tracks: xr.Dataset) -> xr.Dataset | None:
+    """Rows (channel, frame) of ``order`` in the RecordingTracks ``tracks``, apart in noise.
 
     None where the speed does not sweep or the order was not followed.
     """
-    if not tracks.attrs.get("swept", 0) or "amplitude" not in tracks or not tracks["time"].size:
+    if not tracks.attrs.get("swept", 0) or "held_amplitude" not in tracks or not tracks["time"].size:
         return None
     names = tracks["order"].values
     near = np.flatnonzero(np.abs(names - order) <= NUMBERS.same_order_share * order)
     if not len(near):
         return None
     row = int(near[np.argmin(np.abs(names[near] - order))])
-    time, speed, angle = (tracks[name].values.astype(np.float64) for name in ("time", "speed", "crank_angle"))
+    time, speed = (tracks[name].values.astype(np.float64) for name in ("time", "speed"))
     bandwidth = tracks["bandwidth_hz"].values[row].astype(np.float64)
     inside = (time - time[0] >= NUMBERS.from_ends_bandwidths / bandwidth[0]) & (
         time[-1] - time >= NUMBERS.from_ends_bandwidths / bandwidth[-1]
     )
-    amplitude, error = tracks["amplitude"].values[:, row], tracks["standard_error"].values[:, row]
-    poles = int(tracks.attrs["poles"])
+    amplitude, error = tracks["held_amplitude"].values[:, row], tracks["standard_error"].values[:, row]
     known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)
     # hardly any row shares its noise with the one before: one in a reciprocal bandwidth
-    passed = np.cumsum(noise_bandwidth_share(poles) * bandwidth * np.gradient(time))
+    passed = np.cumsum(noise_bandwidth_share(int(tracks.attrs["poles"])) * bandwidth * np.gradient(time))
     rows = known.any(axis=0) & (np.diff(np.floor(passed), prepend=-1.0) > 0.0)
     if np.count_nonzero(rows) < 2 * ORDER_RESPONSES.spare_amplitudes:
         return None
-    first = 0.5 / float(tracks["bandwidth_hz"].values[:, 0].max())
-    passage = _passage(float(names[row]), np.stack([time, speed, angle, bandwidth]), rows, poles=poles, first_s=first)
-    return tracks.isel(order=row, frame=np.flatnonzero(rows)), passage
-
-
-def _passage(number: float, along: Floats, rows: Bools, *, poles: int, first_s: float) -> Passage:
-    """Passage of order ``number`` with time, speed, angle and bandwidth ``along`` (4, N), of which ``rows`` are read.
-
-    It begins ``first_s`` before the first row, with the recording, as the speed runs there: what the order passed then
-    may ring on.
-    """
-    moving = along[1] > 0.0
-    along, rows = along[:, moving], rows[moving]
-    time, speed, _, _ = along
-    rate = (speed[1] - speed[0]) / (time[1] - time[0])
-    before = along[:, 0].copy()
-    before[0] -= first_s
-    before[1] = max(speed[0] - rate * first_s, 0.5 * speed[0])
-    before[2] -= 0.5 * (before[1] + speed[0]) / 60.0 * first_s
-    whole = np.concatenate([before[:, None], along], axis=1)
-    return passage_of(number, *whole, poles=poles, rows=np.append(False, rows))
+    return tracks.isel(order=row, frame=np.flatnonzero(rows))
 
 
 LOCK_NUMBERS = MethodNumbers("5-identify-lines.toml", "lock_through_modes")
@@ -253,7 +227,7 @@ def _measured(
         left
         for tracks in sweeps
         for block in blocks_of(order_map, (agreed,), [tracks])
-        if block.recording and (left := _left_of(block, modal, tracks, multiple)) is not None
+        if block.rows.recording and (left := _left_of(block, modal, tracks, multiple)) is not None
     ]
     if not seen:
         return None
@@ -287,24 +261,24 @@ def _left_of(block: Block, modal: ModalFit, tracks: xr.Dataset, multiple: float)
         response.channel: response
         for response in modal.responses
         if response.fits
-        and response.recording == block.recording
-        and abs(response.order - block.order) <= NUMBERS.same_order_share * block.order
+        and response.recording == block.rows.recording
+        and abs(response.order - block.rows.order) <= NUMBERS.same_order_share * block.rows.order
     }
-    channels = [name for name in block.channels if name in fits]
+    channels = [name for name in block.rows.channels if name in fits]
     if not channels:
         return None
     speed, angle = (tracks[name].values.astype(np.float64) for name in ("speed", "crank_angle"))
-    rows = np.flatnonzero(np.isin(speed, block.speed_rpm))  # those of the block, at their speeds
-    if len(rows) != len(block.speed_rpm) or block.speed_rpm[0] not in speed:
+    rows = np.flatnonzero(np.isin(speed, block.rows.speed_rpm))  # those of the block, at their speeds
+    if len(rows) != len(block.rows.speed_rpm) or block.rows.speed_rpm[0] not in speed:
         return None
     angle = np.asarray(angle[rows] - angle[rows].mean())
     followed = tracks["order"].values
-    off = float(followed[np.abs(followed - block.order).argmin()]) - multiple
+    off = float(followed[np.abs(followed - block.rows.order).argmin()]) - multiple
     # the channels see one force and the same modes: what turns one turns them all
     left = _solved(_together([_channel_part(block, fits[name], modal, angle) for name in channels]))
     if left is None:
         return None
-    by_angle = block.order * float(tracks.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
+    by_angle = block.rows.order * float(tracks.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
     return replace(left, turn=left.turn + off, error=float(np.hypot(left.error, by_angle)))
 
 
@@ -343,30 +317,20 @@ def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Floats, Floats]:
 
 
 def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Floats) -> _Part:
-    row = [block.channels.index(response.channel)]
-    alone = replace(
-        block,
-        channels=(response.channel,),
-        amplitude=block.amplitude[row],
-        error=block.error[row],
-        as_read=None,
-        exponent=response.exponent,
-        law=response.law,
-        degree=len(response.smooth) - 1,
-        reference_rpm=response.reference_rpm,
-        law_span_rpm=response.span_rpm,
-        made={},
-    )
+    row = [block.rows.channels.index(response.channel)]
+    channels, amplitude, error = (response.channel,), block.rows.amplitude[row], block.rows.error[row]
+    seen = replace(block.rows, channels=channels, amplitude=amplitude, error=error)
+    degree, law = len(response.smooth) - 1, response.force.law
+    alone = replace(block, rows=seen, force=response.force, degree=degree)
     hz = np.array([mode.frequency_hz for mode in modal.modes])
     damping = np.array([mode.damping_ratio for mode in modal.modes])
     smooth, modes = alone.smooth(), alone.modal(hz, damping)
     fitted = smooth @ response.smooth + modes @ response.residue
     weight = alone.weight[0]
     by_f, by_zeta = (slope * response.residue for slope in alone.modal_slopes(hz, damping))
-    terms = max(len(response.law), LOCK_NUMBERS.force_terms)
-    shapes = smooth_shapes(alone.speed_rpm, alone.span_rpm, terms)[:, 1:]
+    shapes = alone.shapes_to(max(len(law), LOCK_NUMBERS.force_terms))[:, 1:]
     laws = np.zeros(shapes.shape[1], dtype=complex)
-    laws[: len(response.law)] = response.law
+    laws[: len(law)] = law
     grown = fitted[:, None] * shapes
     shared = [grown * 1j, grown, by_f[:, response.reached], by_zeta[:, response.reached]]
     reached = [modal.modes[number] for number in response.reached]
@@ -381,8 +345,8 @@ def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle:
     own = np.concatenate([linear, 1j * linear], axis=1)
     prior, prior_left = _prior_of(response, linear.shape[1])
     return _Part(
-        _parts((alone.amplitude[0] - fitted) * weight),
-        _parts(alone.amplitude[0] * weight),
+        _parts((alone.rows.amplitude[0] - fitted) * weight),
+        _parts(alone.rows.amplitude[0] * weight),
         _parts(2j * np.pi * angle * fitted * weight),
         _parts(np.concatenate(shared, axis=1) * weight[:, None]),
         _parts(own * weight[:, None]),

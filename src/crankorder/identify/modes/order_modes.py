@@ -1,4 +1,4 @@
-"""What orders say of a natural frequency: what proves it, what doubt is left, and what of it rings on in others."""
+"""What orders say of a natural frequency: what proves it, and what doubt is left."""
 
 from __future__ import annotations
 
@@ -6,185 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import xarray as xr
 
-from crankorder.identify.found import HiddenSpeeds, Mode, Swing, Tone
+from crankorder.identify.found import Mode, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block, Projected, as_real, jacobian, project
 from crankorder.identify.modes.surface_fit import Poles
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
-
-RINGING = MethodNumbers("5-identify-modal.toml", "ringing")
-
-MOST_KEPT = 256
-"""Passages that are kept."""
-
-
-def without_ringing(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles) -> tuple[Block, ...]:
-    """``blocks`` less what the other orders of the same recording leave in their filters behind ``poles``.
-
-    ``parts`` are the blocks as projected with them. A mode that one order has passed rings on at its own frequency,
-    where a lower order finds it later (a higher one where the speed falls). What is taken away is known as well as the
-    residue of the other order, and by as much as that one scatters: the errors of the rows grow by it.
-    """
-    return tuple(
-        block if block.passage is None else _without(block, _others(block, blocks, parts), poles) for block in blocks
-    )
-
-
-def _others(block: Block, blocks: Sequence[Block], parts: Sequence[Projected]) -> list[tuple[Block, Projected]]:
-    """The other orders among ``blocks`` that sweep in the recording of ``block``, and their ``parts``."""
-    return [
-        (other, part)
-        for other, part in zip(blocks, parts, strict=True)
-        if other is not block and other.passage is not None and other.recording == block.recording
-    ]
-
-
-def swings_of(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles) -> tuple[Swing, ...]:
-    """What the orders of ``blocks`` leave in one another's filters behind ``poles``, all along their recordings.
-
-    ``parts`` are the blocks as projected with the poles. Empty for orders that hold nothing of others.
-    """
-    swings = []
-    for block in blocks:
-        if block.passage is None or block.as_read is None:
-            continue
-        every = np.arange(len(block.passage.time_s), dtype=np.float64)
-        along = replace(block, passage=replace(block.passage, place=every))
-        total, variance = _rung(along, _others(block, blocks, parts), poles)
-        swings += [
-            Swing(block.order, name, block.recording, block.passage.time_s, taken, np.sqrt(spread))
-            for name, taken, spread in zip(block.channels, total, variance, strict=True)
-        ]
-    return tuple(swings)
-
-
-def without_swings(followed: Sequence[xr.Dataset], swings: Sequence[Swing]) -> tuple[xr.Dataset, ...]:
-    """``followed`` (RecordingTracks) less the ``swings`` of their orders, whose errors theirs grow by."""
-    cleaned = []
-    for tracks in followed:
-        own = [swing for swing in swings if swing.recording == tracks.attrs.get("recording")]
-        if own:
-            tracks = tracks.copy(deep=True)
-        for swing in own:
-            names = tracks["order"].values
-            row = int(np.argmin(np.abs(names - swing.order)))
-            channel = tracks["channel"].values.tolist().index(swing.channel)
-            time = tracks["time"].values
-            taken, error = (np.interp(time, swing.time_s, values) for values in (swing.taken, swing.error))
-            tracks["amplitude"].values[channel, row] -= taken
-            tracks["standard_error"].values[channel, row] = np.hypot(
-                tracks["standard_error"].values[channel, row], error
-            )
-        cleaned.append(tracks)
-    return tuple(cleaned)
-
-
-def _without(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> Block:
-    """``block`` as it was measured, less what the ``others`` leave of ``poles``."""
-    total, variance = _rung(block, others, poles)
-    amplitude, error = block.as_read or (block.amplitude, block.error)
-    if not total.any():
-        return block if block.as_read is None else replace(block, amplitude=amplitude, error=error, as_read=None)
-    return replace(
-        block, amplitude=amplitude - total, error=np.hypot(error, np.sqrt(variance)), as_read=(amplitude, error)
-    )
-
-
-def _rung(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> tuple[Complexes, Floats]:
-    """What the ``others`` leave of ``poles`` in ``block``, and its variance (C, K), at the places of its passage."""
-    rows = 0 if block.passage is None else len(block.passage.place)
-    total, variance = np.zeros((len(block.channels), rows), dtype=np.complex128), np.zeros((len(block.channels), rows))
-    for other, part in others:
-        shared = [block.channels.index(name) for name in other.channels if name in block.channels]
-        from_rows = [other.channels.index(block.channels[row]) for row in shared]
-        for place, pole in enumerate(part.reached.tolist()):
-            f, zeta = float(poles.frequency_hz[pole]), float(poles.damping[pole])
-            if not shared or not rings_into(block, other, f, zeta):
-                continue
-            took = _taken(block, other, f, zeta)
-            column = other.degree + 1 + place
-            residue = part.linear[from_rows, column]
-            spread = part.covariance[from_rows, column, column].real * part.beyond_errors
-            total[shared] += residue[:, None] * took
-            variance[shared] += (spread + np.square(other.scatter * np.abs(residue)))[:, None] * np.abs(took) ** 2
-    return total, variance
-
-
-def rings_into(block: Block, other: Block, natural_hz: float, damping: float) -> bool:
-    """Whether a mode that the ``other`` order has passed still rings when ``block`` passes it.
-
-    ``natural_hz`` and ``damping``: of the mode.
-    """
-    if not block.ends_hz[0] < natural_hz < block.ends_hz[1]:
-        return False
-    return _rings(other, block.order, natural_hz, damping, RINGING.rings_share)
-
-
-def _rings(block: Block, later: float, natural_hz: float, damping: float, share: float) -> bool:
-    """Whether more than a ``share`` of what ``block`` left of a mode still rings when the order ``later`` passes it."""
-    passage = block.passage
-    assert passage is not None
-    if not passage.ends_hz[0] < natural_hz < passage.ends_hz[1]:
-        return False
-    slowest, fastest = passage.rates_rpm_per_s
-    if (slowest > 0.0 and block.order < later) or (fastest < 0.0 and block.order > later):
-        return False
-    rate = max(abs(slowest), abs(fastest)) / 60.0
-    delay = natural_hz * abs(1.0 / later - 1.0 / block.order) / max(rate, 1e-12)
-    return bool(2.0 * np.pi * damping * natural_hz * delay < -np.log(share))
-
-
-def hidden_speeds(
-    blocks: Sequence[Block],
-    modes: Sequence[Mode],
-    *,
-    revs_per_cycle: int,
-    least_damping: float,
-    looked_hz: Sequence[tuple[float, float]] = (),
-) -> tuple[HiddenSpeeds, ...]:
-    """Speeds at which orders that nobody found could meet ``modes`` that still ring from the orders of ``blocks``.
-
-    Every multiple of the cycle's frequency (``revs_per_cycle`` 1 or 2) may be such an order, if it is none of
-    ``blocks``. No mode is taken to be damped by less than ``least_damping``. At ``looked_hz``, from … to, all of them
-    were looked for beside what rings.
-    """
-    swept = [block for block in blocks if block.passage is not None]
-    if not swept:
-        return ()
-    have = np.array(sorted({block.order for block in swept}))
-    multiples = np.arange(1, int(revs_per_cycle * (have.max() + 1.0)) + 1) / revs_per_cycle
-    unknown = multiples[np.abs(multiples[:, None] - have).min(axis=1) > 0.25 / revs_per_cycle]
-    hidden: list[HiddenSpeeds] = []
-    for mode in modes:
-        f, zeta = mode.frequency_hz, max(mode.damping_ratio, least_damping)
-        if any(low <= f <= high for low, high in looked_hz):
-            continue
-        reach = mode.frequency_half_hz + RINGING.near_share * f
-        for number in unknown.tolist():
-            rung = [block for block in swept if _rings(block, number, f, zeta, RINGING.hides_share)]
-            if rung:
-                loudest = max(rung, key=lambda block: float(block.size.max()))
-                ends = 60.0 * (f - reach) / number, 60.0 * (f + reach) / number
-                hidden.append(HiddenSpeeds(ends[0], ends[1], f, loudest.order))
-    return tuple(hidden)
-
-
-def _taken(block: Block, other: Block, natural_hz: float, damping: float) -> Complexes:
-    """What the filter of ``block`` takes (K,) of a mode behind the force of the ``other``, of unit residue."""
-    assert block.passage is not None
-    key = (block.order, len(block.passage.place), natural_hz, damping, other.exponent, other.law)
-    if key not in other.rung:
-        assert other.passage is not None
-        if len(other.rung) >= MOST_KEPT:
-            other.rung.pop(next(iter(other.rung)))
-        left = other.passage.left_over(other.driven, natural_hz, damping)
-        other.rung[key] = block.passage.taken_from(other.passage, left, natural_hz)
-    return other.rung[key]
-
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "order_modes")
 
@@ -196,8 +25,8 @@ class Proof:
     ``most_rows`` is the largest number of rows of one of them within some widths of it, ``rows`` that of all of them,
     ``span_hz`` the lowest and highest frequency that they reached; ``located`` is how many of them find it at the same
     place, each alone, within a part of its width; ``passed`` are those that sweep through it: what is told from afar
-    may be another mode. ``rung_by`` are other orders that passed it so shortly before one of these that it still rang.
-    ``flanked`` are those whose rows on both sides, without the ones at the peak, ask for the mode where these show it.
+    may be another mode. ``flanked`` are those whose rows on both sides, without the ones at the peak, ask for the mode
+    where these show it.
     """
 
     orders: tuple[float, ...] = ()
@@ -206,7 +35,6 @@ class Proof:
     span_hz: tuple[float, float] = (0.0, 0.0)
     located: int = 0
     passed: tuple[float, ...] = ()
-    rung_by: tuple[float, ...] = ()
     flanked: tuple[float, ...] = ()
 
 
@@ -227,29 +55,23 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
     rows: dict[float, int] = {}
     ends: list[float] = []
     shown: list[str] = []
-    located, passed, rung_by, flanked = set[float](), set[float](), set[float](), set[float]()
+    located, passed, flanked = set[float](), set[float](), set[float]()
     for block, part in zip(blocks, projected, strict=True):
-        shows = residue_chances(block, part, number) <= NUMBERS.proof_chance
-        if shows.any():
-            shows &= _explains(block, part, poles, number)
+        seen, shows = block.rows, residue_chances(block, part, number) <= NUMBERS.proof_chance
         if block.scatter > ORDER_RESPONSES.most_scatter or not shows.any():
             continue
-        shown += [name for name, yes in zip(block.channels, shows, strict=True) if yes]
-        rows[block.order] = max(_rows_within(block, f, zeta), rows.get(block.order, 0))
-        ends += block.ends_hz
-        if (1.0 - reach) * block.ends_hz[0] <= f <= (1.0 + reach) * block.ends_hz[1]:
-            passed.add(block.order)
-            rung_by |= {
-                other.order
-                for other, _ in _others(block, blocks, projected)
-                if block.passage is not None and rings_into(block, other, f, zeta)
-            }
+        shown += [name for name, yes in zip(seen.channels, shows, strict=True) if yes]
+        within = int(np.count_nonzero(np.abs(seen.frequency_hz / f - 1.0) <= reach))
+        rows[seen.order] = max(within, rows.get(seen.order, 0))
+        ends += seen.ends_hz
+        if (1.0 - reach) * seen.ends_hz[0] <= f <= (1.0 + reach) * seen.ends_hz[1]:
+            passed.add(seen.order)
             # the block alone finds the pole where it is: one step from there is small, and its error too
             step, error = _step(block, part, poles, number)
             if error <= NUMBERS.located_widths * zeta and abs(step) <= NUMBERS.agrees_sigmas * error:
-                located.add(block.order)
+                located.add(seen.order)
             if flanks_show(block, poles, number):
-                flanked.add(block.order)
+                flanked.add(seen.order)
     if not rows:
         return OrderPole(f, zeta, (), Proof())
     proof = Proof(
@@ -259,40 +81,9 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
         (min(ends), max(ends)),
         located=len(located),
         passed=tuple(sorted(passed)),
-        rung_by=tuple(sorted(rung_by)),
         flanked=tuple(sorted(flanked)),
     )
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
-
-
-def _explains(block: Block, part: Projected, poles: Poles, number: int) -> Bools:
-    """Whether pole ``number``, with its neighbours, is what a sweep of ``block`` shows there, in each channel (C,).
-
-    What the other poles leave there is felt, and with it most of that is gone, beyond the noise. Where the swing of
-    another order was taken away, what that one's model does not know stays, and a pole that is none takes a part of it.
-    """
-    if block.passage is None:
-        return np.ones(len(block.channels), dtype=np.bool_)
-    f, zeta = poles.values[number].tolist()
-    away = np.abs(block.frequency_hz / f - 1.0)
-    reach = max(
-        NUMBERS.within_widths * zeta,
-        block.passage.blurred_hz / f,
-        float(np.sort(away)[NUMBERS.fewest_beside - 1 : NUMBERS.fewest_beside].sum()),
-    )
-    near = away <= reach
-    weight = block.weight[:, near]
-    used = weight > 0.0
-    error = (block.error if block.as_read is None else block.as_read[1])[:, near]
-    noise = np.where(used, 2.0 * np.square(block.noise * error), 0.0).sum(axis=1)
-    size = np.where(used, np.square(block.size[:, near]), 0.0).sum(axis=1)
-    beside = np.abs(np.log(poles.frequency_hz / f)) <= NUMBERS.side_by_side_share
-    left, without = (
-        np.where(used, np.abs(each.left[:, near]) ** 2 / np.where(used, weight, 1.0) ** 2, 0.0).sum(axis=1)
-        for each in (part, project(block, poles.chosen(~beside)))
-    )
-    felt = without - left > NUMBERS.felt_share**2 * size * (4.0 if block.power else 1.0)
-    return np.asarray(felt & (without - left >= (1.0 - NUMBERS.unexplained_share) * np.maximum(without - noise, noise)))
 
 
 def _step(block: Block, part: Projected, poles: Poles, number: int) -> tuple[float, float]:
@@ -316,29 +107,21 @@ def flanks_show(block: Block, poles: Poles, number: int) -> bool:
     nearest ones, are left out; what is left must ask for the mode, and place it among those. Squares have
     no sign and prove nothing so.
     """
-    if block.passage is not None or block.power:
+    if block.rows.power:
         return False
-    apart = block.frequency_hz / float(poles.frequency_hz[number]) - 1.0
+    apart = block.rows.frequency_hz / float(poles.frequency_hz[number]) - 1.0
     away = np.abs(apart)
     nearest = float(np.sort(away)[NUMBERS.peak_rows - 1 : NUMBERS.peak_rows].sum())
     reach = max(NUMBERS.within_widths * float(poles.damping[number]), nearest)
     at_peak = away <= reach
     if min(np.count_nonzero(~at_peak & side) for side in (apart < 0.0, apart > 0.0)) < NUMBERS.fewest_flank:
         return False
-    flanks = replace(block, error=np.where(at_peak, np.inf, block.error))
+    flanks = replace(block, rows=replace(block.rows, error=np.where(at_peak, np.inf, block.rows.error)))
     part = project(flanks, poles)
     if not (residue_chances(flanks, part, number) <= NUMBERS.proof_chance).any():
         return False
     step, error = _step(flanks, part, poles, number)
     return bool(Z95 * error <= reach and abs(step) <= NUMBERS.agrees_sigmas * error)
-
-
-def _rows_within(block: Block, f: float, zeta: float) -> int:
-    """How many rows of ``block`` lie within some widths of a pole; a sweep through both its flanks has enough."""
-    reach, (low, high) = NUMBERS.within_widths * zeta, block.ends_hz
-    rows = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= reach))
-    whole = block.passage is not None and low < f * (1.0 - reach) and high > f * (1.0 + reach)
-    return max(rows, NUMBERS.rows_of_sweep) if whole else rows
 
 
 def residue_chances(block: Block, part: Projected, number: int) -> Floats:
@@ -349,13 +132,14 @@ def residue_chances(block: Block, part: Projected, number: int) -> Floats:
     from scipy.special import fdtrc
 
     place = np.flatnonzero(part.reached == number)
-    if not len(place) or part.degrees_of_freedom < len(block.channels):
-        return np.ones(len(block.channels))
-    at = block.degree + 1 + block.columns_per_mode * int(place[0]) + np.arange(block.columns_per_mode)
+    size, per = len(block.rows.channels), block.rows.columns_per_mode
+    if not len(place) or part.degrees_of_freedom < size:
+        return np.ones(size)
+    at = block.degree + 1 + per * int(place[0]) + np.arange(per)
     value, spread = part.linear[:, at], part.covariance[:, at[:, None], at]
     squared = np.einsum("ci,cij,cj->c", value.conj(), np.linalg.pinv(spread, hermitian=True), value).real
     scale = max(part.chi2 / part.degrees_of_freedom, 1.0)
-    return np.asarray(fdtrc(2.0, part.degrees_of_freedom / len(block.channels), squared / 2.0 / scale))
+    return np.asarray(fdtrc(2.0, part.degrees_of_freedom / size, squared / 2.0 / scale))
 
 
 def proven_by(proof: Proof) -> str:
@@ -436,9 +220,6 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> st
         and (proof.most_rows < NUMBERS.rows_of_turn or zeta_error > NUMBERS.known_alone_share * zeta)
     ):
         said.append(f"passed by order {proof.passed[0]:g} alone, at {proof.most_rows} speeds: its force may peak there")
-    elif len(proof.passed) == 1 and proof.rung_by:
-        before = _listed(proof.rung_by)
-        said.append(f"passed by order {proof.passed[0]:g} alone, while it would still ring from order {before}")
     elif len(proof.passed) > 1 and not is_proven(proof):
         said.append("too few speeds lie near it: a force that differs at one of them looks the same")
     if error > NUMBERS.uncertain_share * f:

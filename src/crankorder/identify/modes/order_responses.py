@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar, cast
 
@@ -13,17 +13,14 @@ from numpy.typing import NDArray
 from crankorder.identify.found import OrderResponse
 from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
 from crankorder.identify.modes.order_terms import (
-    Passage,
+    Force,
     beyond,
     beyond_law,
-    force,
-    grown_by,
     of_squares,
     qr_by_channel,
     resonance,
     resonance_slopes,
     scatter_of,
-    smooth_shapes,
 )
 from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface, parameters_of
 from crankorder.quantities import Complexes, Floats, Ints
@@ -40,21 +37,12 @@ LAW_STEPS, MOST_BEND = 2, 0.5
 MOST_ROUNDS, MOST_TURNS = 3, 8
 """Times that scatter and linear terms are told from one another, and that the signs of rows are told anew."""
 
-MOST_KEPT = 64
-"""Columns along a sweep that are kept."""
-
 Kept = TypeVar("Kept")
 
-OF_ROWS = ("span_rpm", "shapes", "ends_hz", "size", "rows", "fewest_rows", "measured", "_steady")
-"""What a :class:`Block` works out of its rows alone, whatever its law and scatter."""
 
-OF_LAW = ("growth", "_designs", "driven")
-"""What it works out of its rows and its law, whatever its scatter."""
-
-
-def _latest(block: Block, kind: str, arguments: tuple[NDArray[Any], ...], compute: Callable[[], Kept]) -> Kept:
-    """What ``compute`` gives for these ``arguments``; the latest of each ``kind`` is kept with the ``block``."""
-    kept = block.__dict__.setdefault(kind, {})
+def _latest(owner: object, kind: str, arguments: tuple[NDArray[Any], ...], compute: Callable[[], Kept]) -> Kept:
+    """What ``compute`` gives for these ``arguments``; the latest of each ``kind`` is kept with its ``owner``."""
+    kept = owner.__dict__.setdefault(kind, {})
     key = b"".join(values.tobytes() for values in arguments)
     if key not in kept:
         latest = compute()
@@ -64,18 +52,13 @@ def _latest(block: Block, kind: str, arguments: tuple[NDArray[Any], ...], comput
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class Rows:
     """One order in its ``channels``: ``amplitude`` (C, K) with ``error`` (C, K) per part, infinite where unknown.
 
-    Row k stands at ``frequency_hz`` and ``speed_rpm`` (K,). The force grows as (speed / ``reference_rpm``) to the power
-    ``exponent`` times the exponential of Σ ``law``[k] P_k+1(x), P_k the Legendre polynomials of the logarithm of speed;
-    beside the modes stands such a polynomial of ``degree``, times that. ``scatter`` is what force and path vary by, as
-    a share of the amplitude, beyond ``error``, of which the share ``noise`` is true. ``passage`` says how the order
-    swept (None: every speed was held). ``power``: whether the phases say nothing, so that ``amplitude`` holds squares.
-    ``sign_free``: whether a row may as well have the other sign, for nothing says which turn of a cycle comes first.
-    ``recording`` is that of a sweep, "" of a whole test. ``law_span_rpm`` are the speeds over which the polynomials
-    run, where they are not those of the rows. ``as_read`` are amplitude and error before what other orders leave was
-    taken from them. ``made`` keeps the columns along a sweep that were made last, ``rung`` what they leave in others.
+    Row k stands at ``frequency_hz`` and ``speed_rpm`` (K,), as if that were held. ``power``: whether the phases say
+    nothing, so that ``amplitude`` holds squares. ``sign_free``: whether a row may as well have the other sign, for
+    nothing says which turn of a cycle comes first. ``recording`` is that of a sweep, "" of a whole test; ``blur_hz``
+    the half width over which the sweep spreads a resonance without damping, about.
     """
 
     order: float
@@ -84,52 +67,10 @@ class Block:
     speed_rpm: Floats
     amplitude: Complexes
     error: Floats
-    reference_rpm: float
-    exponent: float = EXPONENTS[0]
-    law: tuple[complex, ...] = ()
-    degree: int = 0
-    scatter: float = ORDER_TERMS.least_scatter
-    noise: float = 1.0
-    passage: Passage | None = None
     power: bool = False
     sign_free: bool = False
     recording: str = ""
-    law_span_rpm: tuple[float, float] | None = None
-    as_read: tuple[Complexes, Floats] | None = None
-    made: dict[tuple[object, ...], tuple[Complexes, ...]] = field(default_factory=dict, repr=False)
-    rung: dict[tuple[object, ...], Complexes] = field(default_factory=dict, repr=False)
-
-    def varied(self, **changes: Any) -> Block:
-        """The block with ``changes`` of its ``exponent``, ``law``, ``degree``, ``scatter`` or ``noise``.
-
-        What is worked out of the rest is kept.
-        """
-        block = replace(self, **changes)
-        kept = OF_ROWS if changes.keys() & {"exponent", "law", "degree"} else OF_ROWS + OF_LAW
-        block.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
-        return block
-
-    @cached_property
-    def span_rpm(self) -> tuple[float, float]:
-        """Slowest and fastest speed, between which the law's polynomials run from -1 to 1."""
-        return self.law_span_rpm or (float(self.speed_rpm.min()), float(self.speed_rpm.max()))
-
-    @cached_property
-    def growth(self) -> Complexes:
-        """What the force's law makes of the speeds (K,); of squares its square."""
-        grown = grown_by(self.speed_rpm / self.reference_rpm, self.shapes_to(len(self.law)), self.exponent, self.law)
-        return np.asarray(np.abs(grown) ** 2 if self.power else grown)
-
-    @cached_property
-    def shapes(self) -> Floats:
-        """Polynomials (K, degree + 1) of the speeds up to the highest degree that is tried."""
-        return smooth_shapes(self.speed_rpm, self.span_rpm, NUMBERS.most_degree)
-
-    def shapes_to(self, degree: int) -> Floats:
-        """Polynomials (K, ``degree`` + 1) of the speeds."""
-        if degree > NUMBERS.most_degree:
-            return smooth_shapes(self.speed_rpm, self.span_rpm, degree)
-        return self.shapes[:, : degree + 1]
+    blur_hz: float = 0.0
 
     @cached_property
     def ends_hz(self) -> tuple[float, float]:
@@ -139,25 +80,19 @@ class Block:
     @cached_property
     def size(self) -> Floats:
         """What the scatter is a share of (C, K): the amplitude, or half that of its neighbours where it vanishes."""
-        known = np.where(np.isfinite(self.error), np.abs(self.amplitude), 0.0)
-        beside = np.pad(known, ((0, 0), (2, 2)), mode="edge")
+        beside = np.pad(np.abs(self.measured), ((0, 0), (2, 2)), mode="edge")
         around = np.sort(np.lib.stride_tricks.sliding_window_view(beside, 5, axis=1), axis=2)[..., 2]
-        return np.asarray(np.maximum(known, 0.5 * around))
+        return np.asarray(np.maximum(np.abs(self.measured), 0.5 * around))
 
     @cached_property
-    def weight(self) -> Floats:
-        """Reciprocal standard error (C, K) of each part, the scatter of the force included; 0 where unknown."""
-        return np.asarray(1.0 / np.hypot(self.noise * self.error, self.scatter * self.size))
-
-    @cached_property
-    def rows(self) -> Ints:
+    def counts(self) -> Ints:
         """How many amplitudes each channel (C,) has."""
         return np.asarray(np.count_nonzero(np.isfinite(self.error), axis=1))
 
     @cached_property
-    def fewest_rows(self) -> int:
+    def fewest(self) -> int:
         """How many amplitudes the channel with the fewest has."""
-        return int(self.rows.min())
+        return int(self.counts.min())
 
     @cached_property
     def measured(self) -> Complexes:
@@ -175,21 +110,108 @@ class Block:
         return 2 if self.power else 1
 
     @cached_property
-    def squared(self) -> Block:
-        """The block as squares, which have no phase."""
+    def squared(self) -> Rows:
+        """The rows as squares, which have no phase."""
         noise = np.where(np.isfinite(self.error), self.error, 0.0)
         size = np.abs(self.amplitude)
         beats = np.where(np.isfinite(self.error), 2.0 * np.maximum(size, noise) * noise, np.inf)
         square = np.asarray(size**2 - 2.0 * noise**2, dtype=np.complex128)
-        return replace(self, amplitude=square, error=beats, power=True, sign_free=False, scatter=2.0 * self.scatter)
+        return replace(self, amplitude=square, error=beats, power=True, sign_free=False)
+
+    def modal(self, natural_hz: Floats, damping: Floats) -> Complexes:
+        """Columns (K, M · columns per mode) of modes behind a steady force; those made last are kept.
+
+        ``natural_hz`` and ``damping`` (M,): of the modes.
+        """
+
+        def columns() -> Complexes:
+            h: Complexes = resonance(self.frequency_hz, natural_hz, damping)
+            return of_squares(h, self.frequency_hz[:, None] / natural_hz) if self.power else h
+
+        return _latest(self, "_modal", (natural_hz, damping), columns)
+
+    def modal_slopes(self, natural_hz: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
+        """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
+
+        ``natural_hz`` and ``damping`` (M,): of the modes.
+        """
+        by_f, by_zeta = resonance_slopes(self.frequency_hz, natural_hz, damping)
+        if not self.power:
+            return by_f, by_zeta
+        h: Complexes = resonance(self.frequency_hz, natural_hz, damping)
+        x = self.frequency_hz[:, None] / natural_hz
+        # the imaginary part is over x, which moves with f
+        return of_squares(by_f + 1j * h.imag, x), of_squares(by_zeta, x)
+
+    def shapes(self, force: Force, degree: int) -> Floats:
+        """Polynomials (K, ``degree`` + 1) of the speeds over the span of ``force``; those made last are kept."""
+        most = max(degree, NUMBERS.most_degree)
+        span = (np.array(force.span_rpm), np.array([most]))
+        return _latest(self, "_shapes", span, lambda: force.shapes(self.speed_rpm, most))[:, : degree + 1]
+
+
+OF_LAW = ("growth", "_designs")
+"""What a :class:`Block` works out of its rows and its law, whatever its scatter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """``rows`` of one order behind its ``force`` (of squares its square), common to the channels.
+
+    Beside the modes stands a polynomial of ``degree`` in the logarithm of speed, times the force. ``scatter`` is what
+    force and path vary by, as a share of the amplitude, beyond the rows' errors, of which the share ``noise`` is true.
+    """
+
+    rows: Rows
+    force: Force
+    degree: int = 0
+    scatter: float = ORDER_TERMS.least_scatter
+    noise: float = 1.0
+
+    @classmethod
+    def of(cls, rows: Rows) -> Block:
+        """Block of ``rows`` before anything is known of its force."""
+        span = float(rows.speed_rpm.min()), float(rows.speed_rpm.max())
+        return cls(rows, Force(span[1], span))
+
+    def varied(self, **changes: Any) -> Block:
+        """The block with ``changes`` of its ``scatter`` or ``noise``: what is worked out of the rest is kept."""
+        block = replace(self, **changes)
+        block.__dict__.update({name: self.__dict__[name] for name in OF_LAW if name in self.__dict__})
+        return block
+
+    def turned(self, sign: Floats) -> Block:
+        """The block whose rows have their ``sign`` (K,), 1 or -1."""
+        return replace(self, rows=replace(self.rows, amplitude=self.rows.amplitude * sign))
+
+    @property
+    def squared(self) -> Block:
+        """The block as squares, which have no phase."""
+        return replace(self, rows=self.rows.squared, scatter=2.0 * self.scatter)
+
+    @cached_property
+    def growth(self) -> Complexes:
+        """What the force's law makes of the speeds (K,); of squares its square."""
+        grown = self.force.at(self.rows.speed_rpm, self.shapes_to(len(self.force.law)))
+        return np.asarray(np.abs(grown) ** 2 if self.rows.power else grown)
+
+    def shapes_to(self, degree: int) -> Floats:
+        """Polynomials (K, ``degree`` + 1) of the speeds."""
+        return self.rows.shapes(self.force, degree)
+
+    @cached_property
+    def weight(self) -> Floats:
+        """Reciprocal standard error (C, K) of each part, the scatter of the force included; 0 where unknown."""
+        return np.asarray(1.0 / np.hypot(self.noise * self.rows.error, self.scatter * self.rows.size))
 
     def reached(self, poles: Poles) -> Ints:
         """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
-        low, high = NUMBERS.reach_shares[0] * self.ends_hz[0], NUMBERS.reach_shares[1] * self.ends_hz[1]
+        rows = self.rows
+        low, high = NUMBERS.reach_shares[0] * rows.ends_hz[0], NUMBERS.reach_shares[1] * rows.ends_hz[1]
         reached = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
-        room = max(0, (self.fewest_rows - 1 - self.degree - NUMBERS.spare_amplitudes) // self.columns_per_mode)
+        room = max(0, (rows.fewest - 1 - self.degree - NUMBERS.spare_amplitudes) // rows.columns_per_mode)
         if len(reached) > room:
-            away = np.abs(np.log(poles.frequency_hz[reached, None] / self.frequency_hz)).min(axis=1)
+            away = np.abs(np.log(poles.frequency_hz[reached, None] / rows.frequency_hz)).min(axis=1)
             reached = np.sort(reached[np.argsort(away, kind="stable")[:room]])
         return reached
 
@@ -210,56 +232,14 @@ class Block:
 
     def modal(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """Columns (K, M · columns per mode) of modes with ``natural_hz`` and ``damping`` (M,)."""
-        if self.passage is not None:
-            return self._along(natural_hz, damping, 0)
-        return np.asarray(self.growth[:, None] * self._held(natural_hz, damping))
+        return np.asarray(self.growth[:, None] * self.rows.modal(natural_hz, damping))
 
-    def _held(self, natural_hz: Floats, damping: Floats) -> Complexes:
-        """Columns of :meth:`modal` at speeds that are held, behind a steady force; those made last are kept."""
-
-        def columns() -> Complexes:
-            h: Complexes = resonance(self.frequency_hz, natural_hz, damping)
-            return of_squares(h, self._ratio(natural_hz)) if self.power else h
-
-        return _latest(self, "_steady", (natural_hz, damping), columns)
-
-    def modal_slopes(self, natural_hz: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
+    def modal_slopes(self, natural_hz: Floats, damping: Floats) -> list[Complexes]:
         """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
 
         ``natural_hz`` and ``damping`` (M,): of the modes.
         """
-        if self.passage is not None:
-            return self._along(natural_hz, damping, 1), self._along(natural_hz, damping, 2)
-        by_f, by_zeta = resonance_slopes(self.frequency_hz, natural_hz, damping)
-        if self.power:
-            x = self._ratio(natural_hz)
-            h: Complexes = resonance(self.frequency_hz, natural_hz, damping)
-            by_f = by_f + 1j * h.imag  # the imaginary part is over x, which moves with f
-            return self.growth[:, None] * of_squares(by_f, x), self.growth[:, None] * of_squares(by_zeta, x)
-        return self.growth[:, None] * by_f, self.growth[:, None] * by_zeta
-
-    def _ratio(self, natural_hz: Floats) -> Floats:
-        """Frequencies of the rows over those of the modes (K, M)."""
-        return np.asarray(self.frequency_hz[:, None] / natural_hz)
-
-    @cached_property
-    def driven(self) -> Complexes:
-        """Force (T,) along the passage."""
-        assert self.passage is not None
-        return force(self.passage.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
-
-    def _along(self, natural_hz: Floats, damping: Floats, which: int) -> Complexes:
-        """Columns along the sweep, or their slope by ln f (1) or ln ζ (2); those made before are kept."""
-        assert self.passage is not None
-        columns = np.empty((len(self.frequency_hz), len(natural_hz)), dtype=np.complex128)
-        for number, pole in enumerate(zip(natural_hz.tolist(), damping.tolist(), strict=True)):
-            key = (*pole, self.exponent, self.law)
-            if len(self.made.get(key, ())) <= which:
-                while len(self.made) >= MOST_KEPT:
-                    self.made.pop(next(iter(self.made)))
-                self.made[key] = self.passage.response(self.driven, *pole, slopes=which > 0)
-            columns[:, number] = self.made[key][which]
-        return columns
+        return [self.growth[:, None] * slope for slope in self.rows.modal_slopes(natural_hz, damping)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,10 +334,11 @@ def _eliminated(block: Block, reached: Ints, design: Complexes) -> Projected:
     scale = np.maximum(np.linalg.norm(weighted, axis=2), 1e-300)
     weighted /= scale[..., None]
     basis, triangle = qr_by_channel(np.swapaxes(weighted, 1, 2))
-    measured = block.measured * weight
+    rows = block.rows
+    measured = rows.measured * weight
     along = (np.swapaxes(basis, 1, 2).conj() @ measured[..., None])[..., 0]
     left = measured - (basis @ along[..., None])[..., 0]
-    degrees_of_freedom = block.parts * (int(block.rows.sum()) - len(block.channels) * design.shape[1])
+    degrees_of_freedom = rows.parts * (int(rows.counts.sum()) - len(rows.channels) * design.shape[1])
     return Projected(reached, basis, triangle, scale, along, left, float(np.vdot(left, left).real), degrees_of_freedom)
 
 
@@ -367,40 +348,40 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Floats:
     Linear terms make up for what they can, and so does the law of the force, to first order. ``part``: the block as
     projected with them.
     """
-    reached, per = part.reached, block.columns_per_mode
-    every = np.zeros((block.parts * block.amplitude.size, 2 * len(poles)))
+    reached, rows = part.reached, block.rows
+    every = np.zeros((rows.parts * rows.amplitude.size, 2 * len(poles)))
     if not len(reached):
         return every
     linear = part.linear[:, block.degree + 1 :]
-    turned: Complexes = np.empty((*block.amplitude.shape, 2 * len(reached)), dtype=np.complex128)
+    turned: Complexes = np.empty((*rows.amplitude.shape, 2 * len(reached)), dtype=np.complex128)
     for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
         by_pole = slope[None] * linear[:, None]
-        turned[..., offset::2] = by_pole.reshape(*by_pole.shape[:2], len(reached), per).sum(axis=3)
+        turned[..., offset::2] = by_pole.reshape(*by_pole.shape[:2], len(reached), rows.columns_per_mode).sum(axis=3)
     turned *= block.weight[..., None]
     turned = beyond(part.basis, turned)
     if part.degrees_of_freedom >= ORDER_TERMS.enough_degrees_of_freedom:
-        turned = beyond_law(turned, force_slopes(block, part, max(len(block.law), 1)), power=block.power)
+        turned = beyond_law(turned, force_slopes(block, part, max(len(block.force.law), 1)), power=rows.power)
     every[:, parameters_of(reached)] = as_real(turned, block)
     return every
 
 
 def force_slopes(block: Block, part: Projected, degree: int) -> Complexes:
     """Derivatives (C, K, ``degree``) of ``block`` by the law of its force, beyond the linear terms of ``part``."""
-    fitted = block.measured * block.weight - part.left
-    bends = fitted[..., None] * block.shapes_to(degree)[:, 1:] * (2.0 if block.power else 1.0)
+    fitted = block.rows.measured * block.weight - part.left
+    bends = fitted[..., None] * block.shapes_to(degree)[:, 1:] * (2.0 if block.rows.power else 1.0)
     return beyond(part.basis, bends)
 
 
 def as_real(values: Complexes, block: Block) -> Floats:
     """``values`` (C, K, …) of ``block`` as rows of real numbers, real parts first; of squares these alone."""
     rows = values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
-    return np.asarray(rows.real if block.power else np.concatenate([rows.real, rows.imag]))
+    return np.asarray(rows.real if block.rows.power else np.concatenate([rows.real, rows.imag]))
 
 
 def deviance_of(block: Block, part: Projected) -> float:
     """Minus twice the log likelihood of ``block`` as projected (``part``), up to a constant."""
     weight = block.weight
-    return block.parts * -2.0 * float(np.log(weight[weight > 0.0]).sum()) + part.chi2
+    return block.rows.parts * -2.0 * float(np.log(weight[weight > 0.0]).sum()) + part.chi2
 
 
 def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
@@ -410,13 +391,14 @@ def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
     stated. And the block as projected with that.
     """
     block, part = _with_signs(block, poles)
+    rows = block.rows
     for _ in range(MOST_ROUNDS):
         if part.degrees_of_freedom < 1:
             break
         weight = block.weight
         squared = np.square(np.abs(part.left) / np.where(weight > 0.0, weight, np.inf))
         scatter, noise = scatter_of(
-            squared.ravel(), np.square(block.error).ravel(), np.square(block.size).ravel(), part.degrees_of_freedom
+            squared.ravel(), np.square(rows.error).ravel(), np.square(rows.size).ravel(), part.degrees_of_freedom
         )
         settled = abs(scatter - block.scatter) <= 0.05 * scatter and abs(noise - block.noise) <= 0.05 * noise
         if scatter == block.scatter and noise == block.noise:
@@ -431,13 +413,13 @@ def with_scatter(block: Block, poles: Poles) -> tuple[Block, Projected]:
 def _with_signs(block: Block, poles: Poles) -> tuple[Block, Projected]:
     """``block`` as projected, its rows with the signs by which the others foretell them best where these are free."""
     part = project(block, poles)
-    for _ in range(MOST_TURNS if block.sign_free else 0):
-        measured = block.amplitude * block.weight
+    for _ in range(MOST_TURNS if block.rows.sign_free else 0):
+        measured = block.rows.amplitude * block.weight
         alone = 1.0 - np.sum(np.abs(part.basis) ** 2, axis=2)
         agrees = np.sum((measured.conj() * (alone * measured - part.left)).real, axis=0)
         if not (agrees < 0.0).any():
             break
-        trial = replace(block, amplitude=np.where(agrees < 0.0, -block.amplitude, block.amplitude))
+        trial = block.turned(np.where(agrees < 0.0, -1.0, 1.0))
         tried = project(trial, poles)
         if tried.chi2 >= part.chi2:
             break
@@ -451,23 +433,20 @@ def with_best_law(block: Block, poles: Poles) -> Block:
     The power of the speed first, then the degree of what is smooth beside the modes, then a departure of the force from
     a power: each by the Bayesian information criterion with the scatter that it leaves.
     """
-    best, cost = block, np.inf
-    most = min(NUMBERS.most_degree, block.fewest_rows // 4 - 1)
+    best, cost, rows = block, np.inf, block.rows
+    most = min(NUMBERS.most_degree, rows.fewest // 4 - 1)
     tried = [(exponent, 0, 0) for exponent in EXPONENTS]
     tried += [(np.nan, degree, 0) for degree in range(1, most + 1)]
     tried += [(np.nan, -1, degree) for degree in range(1, most + 1)]
     for exponent, degree, bends in tried:
-        trial = block.varied(
-            exponent=best.exponent if np.isnan(exponent) else exponent,
-            degree=best.degree if degree < 0 else degree,
-            law=(0.0,) * bends,
-            scatter=best.scatter,
-        )
+        power = best.force.exponent if np.isnan(exponent) else exponent
+        force = replace(block.force, exponent=power, law=(0.0,) * bends)
+        trial = replace(block, force=force, degree=best.degree if degree < 0 else degree, scatter=best.scatter)
         for _ in range(LAW_STEPS if bends else 0):
             trial = with_bent_law(trial, poles)
         trial, part = with_scatter(trial, poles)
-        terms = block.parts * (len(block.channels) * (trial.degree + 1) + bends)
-        new = deviance_of(trial, part) + terms * float(np.log(block.parts * int(block.rows.sum())))
+        terms = rows.parts * (len(rows.channels) * (trial.degree + 1) + bends)
+        new = deviance_of(trial, part) + terms * float(np.log(rows.parts * int(rows.counts.sum())))
         if new < cost:
             best, cost = trial, new
         if best.scatter <= ORDER_TERMS.least_scatter:
@@ -477,17 +456,19 @@ def with_best_law(block: Block, poles: Poles) -> Block:
 
 def with_bent_law(block: Block, poles: Poles) -> Block:
     """``block`` after a Gauss–Newton step in its ``law`` behind ``poles``."""
-    if not block.law:
+    if not (law := block.force.law):
         return block
     part = project(block, poles)
-    bends = force_slopes(block, part, len(block.law))
-    rows, left = bends.reshape(-1, len(block.law)), part.left.ravel()
+    bends = force_slopes(block, part, len(law)).reshape(-1, len(law))
+    left = part.left.ravel()
     solved = (
-        np.linalg.lstsq(rows.real, left.real, rcond=1e-6) if block.power else np.linalg.lstsq(rows, left, rcond=1e-6)
+        np.linalg.lstsq(bends.real, left.real, rcond=1e-6)
+        if block.rows.power
+        else np.linalg.lstsq(bends, left, rcond=1e-6)
     )
     step = solved[0]
     step *= min(1.0, MOST_BEND / max(float(np.abs(step).max()), 1e-300))
-    return block.varied(law=tuple((np.array(block.law) + step).tolist()))
+    return replace(block, force=replace(block.force, law=tuple((np.array(law) + step).tolist())))
 
 
 def fitting(
@@ -513,31 +494,29 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
     """OrderResponse of each channel of ``blocks`` that have phases, for the ``modes``."""
     responses = []
     for block in blocks:
-        if block.power:
+        if block.rows.power:
             continue
         scattered, part = with_scatter(block, modes)
         first = scattered.degree + 1
         linear, covariance = part.linear, part.covariance * part.beyond_errors
         slopes = _terms_by_poles(scattered, modes, part)
-        for number, channel in enumerate(scattered.channels):
+        rows = scattered.rows
+        for number, channel in enumerate(rows.channels):
             residue = np.zeros(len(modes), dtype=complex)
             residue[part.reached] = linear[number, first:]
             responses.append(
                 OrderResponse(
-                    scattered.order,
+                    rows.order,
                     channel,
-                    scattered.exponent,
-                    scattered.law,
-                    scattered.reference_rpm,
-                    scattered.span_rpm,
+                    scattered.force,
                     np.asarray(linear[number, :first], dtype=np.complex128),
                     residue,
                     part.reached,
                     np.asarray(covariance[number], dtype=np.complex128),
-                    part.degrees_of_freedom // len(scattered.channels),
-                    scattered.noise * float(np.median(scattered.error[number][np.isfinite(scattered.error[number])])),
+                    part.degrees_of_freedom // len(rows.channels),
+                    scattered.noise * float(np.median(rows.error[number][np.isfinite(rows.error[number])])),
                     part.degrees_of_freedom > 0 and scattered.scatter <= NUMBERS.most_scatter,
-                    scattered.recording,
+                    rows.recording,
                     slopes[number],
                 )
             )

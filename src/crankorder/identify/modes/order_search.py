@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from crankorder.identify.found import Swing
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modes.order_modes import OrderPole, Proof, named, swings_of, without_ringing
+from crankorder.identify.modes.order_modes import OrderPole, Proof, named
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import (
     Block,
     Blocks,
     Projected,
+    Rows,
     deviance_of,
     project,
     with_bent_law,
@@ -47,9 +47,6 @@ SETTLED = 0.05
 
 STEPS = 12
 """Steps of a fit at most."""
-
-SAME_SWEEP = 0.05
-"""Share of what a sweep passes at either end by which another may stop short of it and tell the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +106,8 @@ def poles_of_orders(
         return (), (), True
     chance, most_damping = settings.false_alarm_probability, settings.max_damping_ratio
     prior = Prior.of(known, covariance)
-    blocks = sorted(blocks, key=lambda block: -float(np.max(block.size / block.error)))[: NUMBERS.most_blocks]
+    asked = sorted(blocks, key=lambda block: -float(np.max(block.rows.size / block.rows.error)))[: NUMBERS.most_blocks]
     most = NUMBERS.most_poles if most_poles is None else most_poles
-    asked = _without_repeats(blocks) if most else blocks
     state = Fitted.of([with_best_law(block, known) for block in asked], known, prior)
     if len(known) and most:
         state = state.moved()
@@ -123,71 +119,42 @@ def poles_of_orders(
         starts -= followed
     state = state if more is None else more
     state = _pruned(state, chance=chance)
-    if len(asked) < len(blocks):
-        state = Fitted.of([with_best_law(block, state.poles) for block in blocks], state.poles, prior).moved()
     new = range(len(known), len(state.poles))
     poles = tuple(named(state.blocks, state.projected, state.poles, number) for number in new)
     return state.blocks, poles, more is None
-
-
-def _without_repeats(blocks: Sequence[Block]) -> list[Block]:
-    """Those of ``blocks``, of sweeps the first that passes through the frequencies where an order runs again."""
-    kept: list[Block] = []
-    for block in blocks:
-        (low, high), again = block.ends_hz, [other.ends_hz for other in kept if other.order == block.order]
-        reach = SAME_SWEEP * (high - low)
-        if block.passage is None or not any(ends[0] <= low + reach and ends[1] >= high - reach for ends in again):
-            kept.append(block)
-    return kept
 
 
 @dataclass(frozen=True, eq=False)
 class Settled:
     """``blocks`` with their laws and scatter; ``proofs`` of the known poles; the poles ``found``, lowest first.
 
-    ``covariance`` (2 M, 2 M) is that of (f_1, ζ_1, f_2, …) of the latter, ``swings`` what modes that ring on leave in
-    the tracks of sweeps.
+    ``covariance`` (2 M, 2 M) is that of (f_1, ζ_1, f_2, …) of the latter.
     """
 
     blocks: tuple[Block, ...]
     proofs: tuple[Proof, ...]
     found: tuple[OrderPole, ...]
     covariance: Floats
-    swings: tuple[Swing, ...]
 
 
 def settled(blocks: Sequence[Block], known: Poles, candidates: Sequence[OrderPole], *, chance: float) -> Settled:
     """``blocks`` behind the ``known`` poles and the ``candidates`` ones, which are moved once more behind those.
 
-    Channels share what an order's force varies by: their residuals are as alike as they are seen to be. Of sweeps,
-    poles that no order shows are left out, and so are those that came to lie beside another one and save no more than
-    the false-alarm level ``chance`` would let noise save.
+    Channels share what an order's force varies by: their residuals are as alike as they are seen to be. Poles that came
+    to lie beside another one and save no more than the false-alarm level ``chance`` would let noise save are left out.
     """
     free = poles_at((pole.frequency_hz, pole.damping) for pole in candidates)
     state = Fitted.of(blocks, known.joined(free.chosen(free.rank)), NO_PRIOR)
     if len(free):
         state = state.moved(fixed=len(known))
     every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
-    shown = [pole for pole in every[len(known) :] if pole.proof.orders]
-    if len(shown) < len(candidates) and any(block.passage is not None for block in blocks):
-        # what none shows took a part of what the others ring on with
-        return settled(state.blocks, known, shown, chance=chance)
     for number in range(len(known), len(state.poles)):
         if _is_beside(state.poles, number) and not _without(state, number, chance=chance)[1]:
             rest = [pole for at, pole in enumerate(every[len(known) :], len(known)) if at != number]
             return settled(state.blocks, known, rest, chance=chance)
     proofs = tuple(pole.proof for pole in every[: len(known)])
-    swings = swings_of(state.blocks, state.projected, state.poles)
     covariance = order_pole_covariance(state.blocks, state.projected, state.poles, fixed=len(known))
-    return Settled(state.blocks, proofs, tuple(every[len(known) :]), covariance, swings)
-
-
-def _independent_share(part: Projected) -> float:
-    """Share of the rows of a sweep that are independent: what is left of them may have a memory, as of its angle."""
-    left = part.left
-    total = float(np.sum(np.abs(left) ** 2))
-    memory = abs(complex(np.sum(left[:, 1:] * left[:, :-1].conj()))) / max(total, 1e-300)
-    return float(max((1.0 - memory) / (1.0 + memory), 1.0 / left.shape[1]))
+    return Settled(state.blocks, proofs, tuple(every[len(known) :]), covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,10 +170,6 @@ class Fitted:
     def of(cls, blocks: Sequence[Block], poles: Poles, prior: Prior) -> Fitted:
         """State of ``blocks`` behind ``poles`` with their ``prior``."""
         pairs = [with_scatter(block, poles) for block in blocks]
-        left = without_ringing([block for block, _ in pairs], [part for _, part in pairs], poles)
-        pairs = [
-            pair if block is pair[0] else with_scatter(block, poles) for block, pair in zip(left, pairs, strict=True)
-        ]
         return cls(tuple(block for block, _ in pairs), tuple(part for _, part in pairs), poles, prior)
 
     def moved(self, *, fixed: int = 0) -> Fitted:
@@ -243,11 +206,12 @@ class Fitted:
         shares = []
         for block, part in zip(self.blocks, self.projected, strict=True):
             left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
-            size = np.sqrt(block.size) if block.power else block.size
-            share = left / np.maximum(block.size, 1e-300) * (0.5 if block.power else 1.0)
+            rows = block.rows
+            size = np.sqrt(rows.size) if rows.power else rows.size
+            share = left / np.maximum(rows.size, 1e-300) * (0.5 if rows.power else 1.0)
             counts = size > NUMBERS.matters_share * size.max()
             if clear:
-                counts &= left > NUMBERS.clear_sigmas * block.noise * block.error
+                counts &= left > NUMBERS.clear_sigmas * block.noise * rows.error
             shares.append(np.where(counts, share, 0.0))
         return shares
 
@@ -259,9 +223,7 @@ class Fitted:
             if (after.scatter, after.noise) == (before.scatter, before.noise) == (ORDER_TERMS.least_scatter, 1.0):
                 saved += few.chi2 - many.chi2  # nothing but known errors
                 continue
-            share = max(many.degrees_of_freedom, 0) / (after.parts * int(after.rows.sum()))
-            if after.passage is not None:
-                share *= _independent_share(many)
+            share = max(many.degrees_of_freedom, 0) / (after.rows.parts * int(after.rows.counts.sum()))
             saved += (deviance_of(before, few) - deviance_of(after, many)) * share
         return saved
 
@@ -271,13 +233,13 @@ def _refitted_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
 
     Signs stay as they are, or turn at that frequency: what the poles fit better.
     """
-    passed = block.ends_hz[0] < frequency_hz < block.ends_hz[1]
-    if passed and block.sign_free:
-        sign = np.where(block.frequency_hz > frequency_hz, -1.0, 1.0)  # a resonance there turns the phase
-        both = [with_scatter(choice, poles) for choice in (block, replace(block, amplitude=block.amplitude * sign))]
+    passed = block.rows.ends_hz[0] < frequency_hz < block.rows.ends_hz[1]
+    if passed and block.rows.sign_free:
+        sign = np.where(block.rows.frequency_hz > frequency_hz, -1.0, 1.0)  # a resonance there turns the phase
+        both = [with_scatter(choice, poles) for choice in (block, block.turned(sign))]
         block = min(both, key=lambda pair: deviance_of(*pair))[0]
-    if block.scatter <= NUMBERS.well_laid_scatter or block.passage is not None or not passed:
-        return with_bent_law(block, poles)  # the rows of a sweep are many: a step does
+    if block.scatter <= NUMBERS.well_laid_scatter or not passed:
+        return with_bent_law(block, poles)
     return with_best_law(block, poles)
 
 
@@ -291,7 +253,7 @@ class Tried:
     @classmethod
     def of(cls, blocks: Sequence[Block]) -> Tried:
         """Starts as far as the rows of any of ``blocks`` reach."""
-        low, high = min(block.ends_hz[0] for block in blocks), max(block.ends_hz[1] for block in blocks)
+        low, high = min(block.rows.ends_hz[0] for block in blocks), max(block.rows.ends_hz[1] for block in blocks)
         counts = [max(2, int(np.ceil(np.log(1.06 * high / low) / zeta))) for zeta in TRIED_DAMPING]
         frequency = [np.geomspace(0.97 * low, 1.03 * high, count) for count in counts]
         return cls(np.concatenate(frequency), np.repeat(TRIED_DAMPING, counts))
@@ -348,37 +310,35 @@ def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) ->
     raised = []
     for block in blocks:
         gains = _gains(Fitted.of((block,), poles, NO_PRIOR), tried)
-        proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.channels), ORDER_MODES.proof_chance))
-        if proven or _stands_out(block, frequency_hz):
-            raised.append(block.order)
+        proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.rows.channels), ORDER_MODES.proof_chance))
+        if proven or _stands_out(block.rows, frequency_hz):
+            raised.append(block.rows.order)
     return tuple(dict.fromkeys(raised))
 
 
-def _stands_out(block: Block, frequency_hz: float) -> bool:
-    """Whether ``block`` is twice as large next to ``frequency_hz`` as on both sides, in any channel."""
-    away = np.abs(block.frequency_hz / frequency_hz - 1.0)
+def _stands_out(rows: Rows, frequency_hz: float) -> bool:
+    """Whether the amplitude of ``rows`` is twice as large next to ``frequency_hz`` as on both sides, in any channel."""
+    away = np.abs(rows.frequency_hz / frequency_hz - 1.0)
     near = np.flatnonzero(away <= NUMBERS.next_to_share)
     if not len(near):
         return False
-    below = np.flatnonzero(block.frequency_hz < frequency_hz * (1.0 - NUMBERS.next_to_share))
-    above = np.flatnonzero(block.frequency_hz > frequency_hz * (1.0 + NUMBERS.next_to_share))
+    below = np.flatnonzero(rows.frequency_hz < frequency_hz * (1.0 - NUMBERS.next_to_share))
+    above = np.flatnonzero(rows.frequency_hz > frequency_hz * (1.0 + NUMBERS.next_to_share))
     sides = [side[np.argmin(away[side])] for side in (below, above) if len(side)]
     if len(sides) < 2:
         return False
-    size = np.sqrt(np.abs(block.amplitude)) if block.power else np.abs(block.amplitude)
+    size = np.sqrt(np.abs(rows.amplitude)) if rows.power else np.abs(rows.amplitude)
     return bool((size[:, near].max(axis=1) > NUMBERS.rises_ratio * size[:, sides].max(axis=1)).any())
 
 
 def _gains(state: Fitted, tried: Tried) -> Floats:
-    """What a pole at each start would save, beyond what noise saves, summed over orders and channels.
-
-    The steady response stands for that of a sweep here: it only has to find the start.
-    """
+    """What a pole at each start would save, beyond what noise saves, summed over orders and channels."""
     total = np.zeros(len(tried.frequency_hz))
     for block, part in zip(state.blocks, state.projected, strict=True):
-        if block.rows.min() < NUMBERS.fewest_rows or part.degrees_of_freedom < 4:
+        rows = block.rows
+        if rows.fewest < NUMBERS.fewest_rows or part.degrees_of_freedom < 4:
             continue
-        low, high = block.ends_hz
+        low, high = rows.ends_hz
         near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
         settled = block.scatter < NUMBERS.felt_error_share
         if settled:
@@ -386,12 +346,11 @@ def _gains(state: Fitted, tried: Tried) -> Floats:
             part = project(block, state.poles)
         else:
             block, part = _reprojected(block, part, state.poles)
-        natural, damping = tried.frequency_hz[near], tried.damping[near]
-        if block.passage is not None:  # as wide as a sweep makes a resonance look
-            damping = np.maximum(damping, block.passage.blurred_hz / natural)
-        columns = replace(block, passage=None).modal(natural, damping)
-        degrees_of_freedom = max(part.degrees_of_freedom / len(block.channels) - 2.0, 0.0)
-        explained = _explained(columns, block.weight, part, block.columns_per_mode)
+        natural = tried.frequency_hz[near]
+        # as wide as a sweep makes a resonance look
+        columns = block.modal(natural, np.maximum(tried.damping[near], rows.blur_hz / natural))
+        degrees_of_freedom = max(part.degrees_of_freedom / len(rows.channels) - 2.0, 0.0)
+        explained = _explained(columns, block.weight, part, block.rows.columns_per_mode)
         left = np.maximum(np.sum(np.abs(part.left) ** 2, axis=1), 1e-300)[:, None]
         gain = explained if settled else -degrees_of_freedom * np.log1p(-np.minimum(explained / left, 1.0 - 1e-9))
         total[near] += np.maximum(gain - NUMBERS.expected_gain, 0.0).sum(axis=0)
@@ -400,11 +359,11 @@ def _gains(state: Fitted, tried: Tried) -> Floats:
 
 def _reprojected(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected]:
     """``block`` and how it is projected (``part``), without what a pole that is missing may have led it to."""
-    if block.scatter > NUMBERS.well_laid_scatter and block.rows.min() > 4 * NUMBERS.fewest_rows:
-        block = block.varied(degree=ORDER_RESPONSES.most_degree)  # a peak may have hidden how the force grows
-    elif not block.sign_free:
+    if block.scatter > NUMBERS.well_laid_scatter and block.rows.fewest > 4 * NUMBERS.fewest_rows:
+        block = replace(block, degree=ORDER_RESPONSES.most_degree)  # a peak may have hidden how the force grows
+    elif not block.rows.sign_free:
         return block, part
-    if block.sign_free:
+    if block.rows.sign_free:
         block = block.squared  # signs without the pole may have turned its phase away
     return block, project(block, poles)
 
@@ -464,7 +423,7 @@ def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
 
     Each has two numbers of its own and two for each order and channel.
     """
-    degrees_of_freedom = number * (2.0 + 2.0 * sum(len(block.channels) for block in blocks))
+    degrees_of_freedom = number * (2.0 + 2.0 * sum(len(block.rows.channels) for block in blocks))
     return float(chdtri(degrees_of_freedom, chance / NUMBERS.independent_trials**number))
 
 

@@ -42,16 +42,17 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
     for block, part in zip(blocks, parts, strict=True):
         if block.scatter > ORDER_RESPONSES.most_scatter or part.degrees_of_freedom < 1:
             continue
-        rows = jacobian(block, poles, part)[:, own].reshape(block.parts, *block.amplitude.shape, size)
-        spare = block.parts * int(block.rows.sum()) / part.degrees_of_freedom
-        left = np.stack([part.left.real] if block.power else [part.left.real, part.left.imag])
+        seen = block.rows
+        rows = jacobian(block, poles, part)[:, own].reshape(seen.parts, *seen.amplitude.shape, size)
+        spare = seen.parts * int(seen.counts.sum()) / part.degrees_of_freedom
+        left = np.stack([part.left.real] if seen.power else [part.left.real, part.left.imag])
         norm = np.maximum(np.linalg.norm(part.left, axis=1), 1e-300)
         alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
         inner += np.einsum("cd,pcki,pdkj->ij", alike, rows, rows)
         hessian, score = np.einsum("pcki,pckj->cij", rows, rows), np.einsum("pcki,pck->ci", rows, left * np.sqrt(spare))
         alone += map(Cell, hessian, score)
         orders.append(Cell(np.sum(hessian, axis=0), np.sum(score, axis=0)))
-        scores = np.einsum("pcki,pck->ki", rows, left)[np.argsort(block.speed_rpm)]
+        scores = np.einsum("pcki,pck->ki", rows, left)[np.argsort(seen.speed_rpm)]
         beside += spare * _scores_together(scores)
     if not orders:
         return np.zeros((size, size))

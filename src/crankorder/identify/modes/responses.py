@@ -14,7 +14,7 @@ from crankorder.identify.modes.order_blocks import NUMBERS as ORDER_BLOCKS
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block, Projected, force_slopes, with_scatter
-from crankorder.identify.modes.order_terms import force, resonance, resonance_slopes, smooth_shapes
+from crankorder.identify.modes.order_terms import resonance, resonance_slopes
 from crankorder.identify.modes.surface_fit import Poles, Problem, parameters_of
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -113,7 +113,7 @@ def _errors(
     # of a pole that is not determined a derivative says nothing: that it is not decided is said elsewhere
     known = np.repeat(np.diag(spread)[1::2] <= ORDER_MODES.known_share**2, 2)
     spread = np.where(known[:, None] & known, spread, 0.0)
-    grown = _force_of(response, rpm)[:, None]
+    grown = response.force.at(rpm)[:, None]
     residues = np.array([response.residue[reached], np.where(reached == but, 0.0, response.residue[reached])])
     by_poles = np.zeros((*values.shape, len(at)), dtype=np.complex128)  # derivatives by (ln f, ln ζ) of the modes
     for offset, slope in enumerate(resonance_slopes(response.order * rpm / 60.0, *poles.T)):
@@ -124,16 +124,10 @@ def _errors(
     return np.asarray(np.sqrt(squared + np.maximum(((along @ spread) * along).sum(axis=2), 0.0)))
 
 
-def _force_of(response: OrderResponse, rpm: Floats) -> Complexes:
-    """Force (G,) of ``response`` at ``rpm``."""
-    grown = force(rpm, response.span_rpm, response.reference_rpm, response.exponent, response.law)
-    return np.asarray(grown, dtype=np.complex128)
-
-
 def _parts(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Complexes, Complexes, Complexes]:
     """Smooth part (G,), that of each mode (G, M), and the columns (G, terms) behind the linear terms."""
-    grown = _force_of(response, rpm)[:, None]
-    smooth = grown * smooth_shapes(rpm, response.span_rpm, len(response.smooth) - 1)
+    grown = response.force.at(rpm)[:, None]
+    smooth = grown * response.force.shapes(rpm, len(response.smooth) - 1)
     modes = grown * shapes(response.order * rpm / 60.0, modal)
     columns = np.concatenate([smooth, modes[:, response.reached]], axis=1)
     return smooth @ response.smooth, modes * response.residue, columns
@@ -176,18 +170,17 @@ def held_peak(modal: ModalFit, order: float, channel: str, *, largest_rpm: float
         and response.channel == channel
         and abs(response.order - order) <= ORDER_BLOCKS.same_order_share * order
     ]
-    peaks = [peak_of(response, modal) for response in near]
-    spans = [response.span_rpm for response in near]
-    if not any(low <= largest_rpm <= high for low, high in spans):
+    if not any(response.passes(largest_rpm) for response in near):
         return None
+    peaks = [peak_of(response, modal) for response in near]
     worst = max(peaks, key=lambda peak: peak.amplitude)
-    passing = [peak for peak, (low, high) in zip(peaks, spans, strict=True) if low <= worst.rpm <= high]
+    passing = [peak for peak, response in zip(peaks, near, strict=True) if response.passes(worst.rpm)]
     return min(passing, key=lambda peak: peak.share)
 
 
 def peak_of(response: OrderResponse, modal: ModalFit, ends: tuple[float, float] = (0.0, np.inf)) -> HeldPeak:
     """Largest steady amplitude of ``response`` by the fit ``modal``, of it what lies between ``ends`` [rpm]."""
-    rpm = np.clip(_speeds(response, modal), *np.clip(ends, *response.span_rpm))
+    rpm = np.clip(_speeds(response, modal), *np.clip(ends, *response.force.span_rpm))
     smooth, parts, _ = _parts(response, rpm, modal)
     at = int(np.argmax(np.abs(smooth + parts.sum(axis=1))))
     amplitude, error = held_amplitudes(response, rpm[at : at + 1], modal)
@@ -196,7 +189,7 @@ def peak_of(response: OrderResponse, modal: ModalFit, ends: tuple[float, float] 
 
 def _speeds(response: OrderResponse, modal: ModalFit) -> Floats:
     """Speeds [rpm] at which ``response`` is looked at: over its range, and closer about the modes of ``modal``."""
-    low, high = response.span_rpm
+    low, high = response.force.span_rpm
     reach = ABOUT_MODE * np.linspace(-1.0, 1.0, PER_MODE)
     near = [60.0 * mode.frequency_hz / response.order * (1.0 + mode.damping_ratio * reach) for mode in modal.modes]
     rpm = np.concatenate([np.linspace(low, high, SPEEDS), *near])
@@ -241,12 +234,13 @@ def least_seen(
     reach = float(np.sqrt(chdtri(2.0, 1.0 - settings.free_confidence)))
     largest = dict.fromkeys(unit.values(), 0.0)
     for block in blocks:
-        size = np.sqrt(block.size) if block.power else block.size
-        for name, most in zip(block.channels, size.max(axis=1).tolist(), strict=True):
+        rows = block.rows
+        size = np.sqrt(rows.size) if rows.power else rows.size
+        for name, most in zip(rows.channels, size.max(axis=1).tolist(), strict=True):
             largest[unit[name]] = max(EXCLUSION.matters_share * most, largest.get(unit[name], 0.0))
     along = [(unseen.order, FloorBound(unseen.frequency_hz, unseen.amplification(unit, largest))) for unseen in sweeps]
     alone = [_less(_bound(block, poles, settings.least_damping_ratio, reach, unit, largest), along) for block in blocks]
-    have = {block.order for block in blocks}
+    have = {block.rows.order for block in blocks}
     more = {order for order, _ in along if all(abs(order - other) >= SAME_ORDER * other for other in have)}
     alone += [_less(UnseenBound(order, np.empty(0), np.empty(0)), along) for order in sorted(more)]
     known = [FloorBound(unseen.order * unseen.speed_rpm / 60.0, unseen.amplification) for unseen in alone]
@@ -284,10 +278,8 @@ class Hiding:
         for name in dict.fromkeys(unit[channel] for channel in self.channels):
             own = np.array([unit[channel] == name for channel in self.channels])
             least = np.maximum(self.noise[own].max(axis=0), matters.get(name, 0.0))
-            without = np.maximum(self.base[own].max(axis=0), least)
-            most = np.maximum(
-                most, np.maximum((self.base + self.added)[own].max(axis=0), least) / np.maximum(without, 1e-300)
-            )
+            without, whole = (np.maximum(of[own].max(axis=0), least) for of in (self.base, self.base + self.added))
+            most = np.maximum(most, whole / np.maximum(without, 1e-300))
         return most
 
 
@@ -318,12 +310,8 @@ def floor_bound(problem: Problem, model: Floats, *, poles: Poles, settings: Iden
     others. A resonance of the least damping of the ``settings`` fills a share of a bin; what stands over the model, and
     as much more as its scatter hides at their confidence, is its power.
     """
-    clear = [
-        float((model[:, at] / np.median(model, axis=1)).max())
-        for f in poles.frequency_hz
-        if 0 <= (at := int(np.argmin(np.abs(problem.frequency_hz - f)))) < len(problem.frequency_hz)
-    ]
-    if max(clear, default=0.0) < EXCLUSION.shaken_ratio:
+    at = np.abs(problem.frequency_hz - poles.frequency_hz[:, None]).argmin(axis=1)
+    if (model[:, at] / np.median(model, axis=1)[:, None]).max(initial=0.0) < EXCLUSION.shaken_ratio:
         return None
     used = problem.averages > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -355,29 +343,28 @@ def _bound(
 ) -> UnseenBound:
     """What the rows of ``block`` leave open of modes of ``damping`` and some times that, ``reach`` errors away."""
     block, part = with_scatter(block, poles)
-    speed = _speeds_between(block)
-    if part.degrees_of_freedom < len(block.channels) * block.parts or block.scatter > ORDER_RESPONSES.most_scatter:
-        return UnseenBound(block.order, speed, np.full(len(speed), np.inf))
+    rows, speed = block.rows, _speeds_between(block)
+    if part.degrees_of_freedom < len(rows.channels) * rows.parts or block.scatter > ORDER_RESPONSES.most_scatter:
+        return UnseenBound(rows.order, speed, np.full(len(speed), np.inf))
     spread = float(np.sqrt(max(1.0, part.chi2 / part.degrees_of_freedom)))
-    added = np.zeros((len(block.channels), len(speed)))
+    added = np.zeros((len(rows.channels), len(speed)))
     for times in EXCLUSION.tried_damping_ratios:
         added = np.maximum(added, _added(block, part, speed, damping * times, reach * spread))
     # the noise of the nearest row hides what is smaller
-    near = np.abs(np.log(speed[:, None] / block.speed_rpm)).argmin(axis=1)
-    noise = EXCLUSION.noise_sigmas * block.noise * np.where(np.isfinite(block.error), block.error, 0.0)[:, near]
+    near = np.abs(np.log(speed[:, None] / rows.speed_rpm)).argmin(axis=1)
+    noise = EXCLUSION.noise_sigmas * block.noise * np.where(np.isfinite(rows.error), rows.error, 0.0)[:, near]
     base = _fitted(block, part, poles, speed)
-    if block.power:
+    if rows.power:
         base, added, noise = np.sqrt(np.maximum(base, 0.0)), np.sqrt(added), np.sqrt(noise)
-    hiding = Hiding(block.order, block.order * speed / 60.0, block.channels, base, added, noise)
-    return UnseenBound(block.order, speed, hiding.amplification(unit, matters))
+    hiding = Hiding(rows.order, rows.order * speed / 60.0, rows.channels, base, added, noise)
+    return UnseenBound(rows.order, speed, hiding.amplification(unit, matters))
 
 
 def _speeds_between(block: Block) -> Floats:
     """Speeds (G,) in rpm at and between the rows of ``block``, or along its sweep, at which bounds are computed."""
-    low, high = block.span_rpm
-    if block.passage is not None:
-        return np.geomspace(low, high, ALONG_SWEEP)
-    rows = np.unique(block.speed_rpm)
+    if block.rows.recording:
+        return np.geomspace(*block.force.span_rpm, ALONG_SWEEP)
+    rows = np.unique(block.rows.speed_rpm)
     share = np.arange(BETWEEN_ROWS + 1) / (BETWEEN_ROWS + 1.0)
     between = rows[:-1, None] + np.diff(rows)[:, None] * share
     return np.append(between.ravel(), rows[-1])
@@ -385,40 +372,27 @@ def _speeds_between(block: Block) -> Floats:
 
 def _fitted(block: Block, part: Projected, poles: Poles, speed: Floats) -> Floats:
     """Amplitude (C, G) of the fit at ``speed``; of squares their square."""
-    held = held_at(block, speed)
-    natural, damping = poles.frequency_hz[part.reached], poles.damping[part.reached]
-    columns = np.concatenate([held.smooth(), held.modal(natural, damping)], axis=1)
-    fitted = part.linear @ columns.T
-    return np.asarray(fitted.real if block.power else np.abs(fitted))
+    fitted = part.linear @ held_at(block, speed).design(*poles.values[part.reached].T).T
+    return np.asarray(fitted.real if block.rows.power else np.abs(fitted))
 
 
 def held_at(block: Block, speed_rpm: Floats) -> Block:
     """``block`` as if its order were held at ``speed_rpm`` (G,); it holds no amplitudes."""
-    nothing = np.zeros((len(block.channels), len(speed_rpm)))
-    return replace(
-        block,
-        speed_rpm=speed_rpm,
-        frequency_hz=block.order * speed_rpm / 60.0,
-        amplitude=nothing.astype(np.complex128),
-        error=nothing + np.inf,
-        passage=None,
-        law_span_rpm=block.span_rpm,
-    )
+    nothing = np.zeros((len(block.rows.channels), len(speed_rpm)))
+    hertz, none = block.rows.order * speed_rpm / 60.0, nothing.astype(np.complex128)
+    rows = replace(block.rows, speed_rpm=speed_rpm, frequency_hz=hertz, amplitude=none, error=nothing + np.inf)
+    return replace(block, rows=rows)
 
 
 def _added(block: Block, part: Projected, speed: Floats, damping: float, reach: float) -> Floats:
     """Largest amplitude (C, G) that a mode on the order at ``speed`` adds there unseen; of squares their square."""
-    natural = block.order * speed / 60.0
-    ratios = np.full(len(speed), damping)
-    seen_as = replace(block, passage=None, law_span_rpm=block.span_rpm)
-    if block.passage is not None:  # a sweep makes any resonance look like one that is damped by as much
-        rate = float(np.median(np.abs(np.gradient(block.passage.frequency_hz, block.passage.step_s))))
-        ratios = np.maximum(ratios, 0.5 * np.sqrt(rate) / natural)
-    columns = seen_as.modal(natural, ratios)
+    rows, natural = block.rows, block.rows.order * speed / 60.0
+    # a sweep makes any resonance look like one that is damped by as much
+    columns = block.modal(natural, np.maximum(damping, rows.blur_hz / natural))
     at_peak = np.abs(held_at(block, speed).growth) / (2.0 * damping)
-    added = np.empty((len(block.channels), len(speed)))
+    added = np.empty((len(rows.channels), len(speed)))
     # any law may have taken it in
-    bends = force_slopes(block, part, max(1, min(ORDER_RESPONSES.most_degree, block.fewest_rows // 4 - 1)))
+    bends = force_slopes(block, part, max(1, min(ORDER_RESPONSES.most_degree, rows.fewest // 4 - 1)))
     for number, (weight, basis, left) in enumerate(zip(block.weight, part.basis, part.left, strict=True)):
         shown = columns * weight[:, None]
         shown -= basis @ (basis.conj().T @ shown)
@@ -426,7 +400,7 @@ def _added(block: Block, part: Projected, speed: Floats, damping: float, reach: 
         shown -= taken @ (taken.conj().T @ shown)
         norm = np.maximum(np.sum(np.abs(shown) ** 2, axis=0), 1e-300)
         along = np.abs(left.conj() @ shown) / norm + reach / np.sqrt(norm)
-        if block.power:  # the real part is half as high as the imaginary one
+        if rows.power:  # the real part is half as high as the imaginary one
             along = along.reshape(-1, 2) @ np.array([0.5, 1.0])
         added[number] = along * at_peak
     return added

@@ -67,26 +67,21 @@ def line_columns(floor: Floor) -> Floats:
     wander make of it, whatever their size.
     """
     step = 0.02 * floor.seen.bin_hz
-    columns = np.zeros((3 * len(floor.strong), len(floor.frequency_hz)))
-    top = float(floor.seen.kernel(np.zeros(1))[0])
-    for number, (tone, _) in enumerate(floor.strong):
+    columns, top = [np.zeros((0, len(floor.frequency_hz)))], float(floor.seen.kernel(np.zeros(1))[0])
+    for tone, _ in floor.strong:
         away = floor.frequency_hz - tone + step * np.array([[-1.0], [0.0], [1.0]])
         low, middle, high = floor.seen.kernel(away) / top
-        columns[3 * number] = middle
-        columns[3 * number + 1] = (high - low) / 0.04
-        columns[3 * number + 2] = (high - 2.0 * middle + low) / 0.02**2
-    return columns
+        columns.append(np.stack([middle, (high - low) / 0.04, (high - 2.0 * middle + low) / 0.02**2]))
+    return np.concatenate(columns)
 
 
 def ruled_by_lines(floor: Floor) -> Bools:
     """Which bins (C, F) of ``floor`` hold more of a strong tone than of all else."""
     ruled = np.zeros(floor.psd.shape, dtype=bool)
-    columns = line_columns(floor)[::3]
-    for (tone, _), column in zip(floor.strong, columns, strict=True):
+    for (tone, _), column in zip(floor.strong, line_columns(floor)[::3], strict=True):
         peak = np.abs(floor.frequency_hz - tone) <= floor.seen.bin_hz
         top = np.nan_to_num(floor.psd[:, peak] / column[peak]).mean(axis=1)
-        ruled |= top[:, None] * column > NUMBERS.rules_share * np.nan_to_num(floor.psd, nan=np.inf)
-        ruled[:, np.abs(floor.frequency_hz - tone) <= floor.seen.bin_hz] = True
+        ruled |= peak | (top[:, None] * column > NUMBERS.rules_share * np.nan_to_num(floor.psd, nan=np.inf))
     return ruled
 
 
@@ -104,9 +99,8 @@ def unsure_power(floor: Floor) -> Floats:
         low, middle, high = floor.seen.kernel(floor.frequency_hz[near] - tone + away[:, None])
         smeared = np.abs(0.5 * (low + high) - middle) / float(floor.seen.kernel(np.zeros(1))[0])
         peak = near[np.abs(floor.frequency_hz[near] - tone) <= floor.seen.bin_hz]
-        unsure[:, near] += (
-            NUMBERS.smear_left_share * np.nan_to_num(floor.psd[:, peak]).max(axis=1, initial=0.0)[:, None] * smeared
-        )
+        top = np.nan_to_num(floor.psd[:, peak]).max(axis=1, initial=0.0)[:, None]
+        unsure[:, near] += NUMBERS.smear_left_share * top * smeared
     return unsure
 
 
@@ -286,12 +280,11 @@ def peaks(floor: Floor) -> Poles:
         for peak in local_maxima(level):
             height, width = _prominence(level, int(peak))
             if height > NUMBERS.peak_sigmas * scatter and height > 0.1:
-                wide = (float(floor.frequency_hz[peak]), (0.5 * width - 0.7) * step)
-                resolved = width > NUMBERS.narrow_bins
-                seen.append((*(wide if resolved else narrow_peak(whole, int(peak), floor)), height))
+                wide = float(floor.frequency_hz[peak]), (0.5 * width - 0.7) * step
+                seen.append((height, *(wide if width > NUMBERS.narrow_bins else narrow_peak(whole, int(peak), floor))))
     poles = NO_POLES
     taken: list[tuple[float, float]] = []
-    for frequency, width, _ in sorted(seen, key=lambda peak: -peak[2]):
+    for _, frequency, width in sorted(seen, key=lambda peak: -peak[0]):
         if all(abs(frequency - other) > max(2.5 * step, 0.7 * min(width, wide)) for other, wide in taken):
             taken.append((frequency, width))
             poles = poles.with_pole(frequency, min(width / frequency, 0.3))
@@ -300,14 +293,16 @@ def peaks(floor: Floor) -> Poles:
 
 def _prominence(level: Floats, peak: int) -> tuple[float, float]:
     """Height over the higher of the two valleys that part a peak from higher ground; width at half power, in bins."""
-    higher = np.flatnonzero(level > level[peak])
-    at = int(np.searchsorted(higher, peak))
-    left, right = (int(higher[at - 1]) if at else 0), (int(higher[at]) if at < len(higher) else len(level) - 1)
+
+    def beside(marked: Bools) -> tuple[int, int]:
+        """The nearest ``marked`` bins below and above the peak; the ends where there are none."""
+        at = np.concatenate([[0], np.flatnonzero(marked), [len(level) - 1]])
+        above = int(np.searchsorted(at[1:-1], peak)) + 1
+        return int(at[above - 1]), int(at[above])
+
+    left, right = beside(level > level[peak])
     height = float(level[peak] - max(level[left : peak + 1].min(), level[peak : right + 1].min()))
-    half = level[peak] - min(np.log(2.0), 0.5 * height)
-    under = np.flatnonzero(level < half)
-    at = int(np.searchsorted(under, peak))
-    low, high = (int(under[at - 1]) if at else 0), (int(under[at]) if at < len(under) else len(level) - 1)
+    low, high = beside(level < level[peak] - min(np.log(2.0), 0.5 * height))
     return height, float(2 * min(high - peak, peak - low))
 
 
@@ -419,12 +414,10 @@ def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float], chance:
 
     None where noise would make as much in as many channels by ``chance``.
     """
-    z = np.where(
-        problem.averages > 0.0, np.sqrt(problem.averages) * (np.nan_to_num(problem.psd) / fit.model - 1.0), 0.0
-    )
-    best = 0.0
+    over = np.sqrt(problem.averages) * (np.nan_to_num(problem.psd) / fit.model - 1.0)
+    z, n_bins, best = np.where(problem.averages > 0.0, over, 0.0), len(problem.frequency_hz), 0.0
     hump: tuple[float, float] | None = None
-    for bins in (n for n in BOXES if n < min(len(problem.frequency_hz), max(64, len(problem.frequency_hz) // 4))):
+    for bins in (n for n in BOXES if n < min(n_bins, max(64, n_bins // 4))):
         box = np.ones(bins) / np.sqrt(bins * min(HANN_CORRELATION, 0.5 + 0.5 * bins))
         score = np.square(np.maximum([np.convolve(row, box, mode="same") for row in z], 0.0)).sum(axis=0)
         for frequency in tried:

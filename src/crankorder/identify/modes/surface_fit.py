@@ -114,17 +114,18 @@ def pole_columns(
     far, far_slope = seen_pole(sigma + 1j * (frequency_hz + damped), seen)
     scale = 2.0 * np.pi * sigma
     by_damping = natural_hz[:, None] * (-(damping[:, None] ** 2) / turned)  # of f_d by ln ζ
-    parts = []
-    for near_part, far_part in (
-        (near, far),
-        (near_slope * (sigma - 1j * damped) + near, far_slope * (sigma + 1j * damped) + far),
-        (near_slope * (sigma - 1j * by_damping) + near, far_slope * (sigma + 1j * by_damping) + far),
-    ):
-        columns = np.empty((len(natural_hz), 2, len(frequency_hz)))
-        columns[:, 0] = scale * (near_part.real + far_part.real)
-        columns[:, 1] = scale * (far_part.imag - near_part.imag)
-        parts.append(columns.reshape(-1, len(frequency_hz)))
-    return parts[0], parts[1], parts[2]
+
+    def columns(near_part: Complexes, far_part: Complexes) -> Floats:
+        both = np.empty((len(natural_hz), 2, len(frequency_hz)))
+        both[:, 0] = scale * (near_part.real + far_part.real)
+        both[:, 1] = scale * (far_part.imag - near_part.imag)
+        return both.reshape(-1, len(frequency_hz))
+
+    by_hz, by_ratio = (
+        columns(near_slope * (sigma - 1j * moved) + near, far_slope * (sigma + 1j * moved) + far)
+        for moved in (damped, by_damping)
+    )
+    return columns(near, far), by_hz, by_ratio
 
 
 TONE_BINS = 1e-3

@@ -61,7 +61,7 @@ class LocalFit:
     @property
     def bare(self) -> LocalFit:
         """The fit without what was reckoned of it: columns and forces of a long recording are large."""
-        windows = tuple(replace(window, _made={}, _passages={}) for window in self.windows)
+        windows = tuple(replace(window, _made={}, _unbent={}, _passages={}) for window in self.windows)
         return LocalFit(windows, self.natural_hz, self.damping)
 
     @property
@@ -230,7 +230,7 @@ class OnePoleMore:
         power = np.square(np.abs(answers))
         # what rings is, but for a smooth factor, a response to a force that falls with the square of the frequency
         rung = np.full(len(window.frequency_hz), 1.0 + 0j) / np.square(window.frequency_hz / window.frequency_hz.mean())
-        forces = [window.force(order)[0] / window.shape for order in window.orders] + [rung / window.shape]
+        forces = [window.force(order) / window.shape for order in window.orders] + [rung / window.shape]
         matrix = _shared(solved, forces, answers, power)
         side = np.stack([(solved.left.T * force.conj()) @ answers.conj() for force in forces])  # (orders, C, S)
         own = np.einsum("sii->si", matrix).real
@@ -353,7 +353,7 @@ def shares_of(solved: Solved, number: int) -> Floats:
     window = solved.window
     peak, zeta = solved.natural_hz[number], solved.damping[number]
     at = np.array([peak])
-    basis = np.concatenate([window.powers_at(at), resonance(at, solved.natural_hz, solved.damping)], axis=1)[0]
+    basis = window.paths(solved.natural_hz, solved.damping, at)[0]
     shares = np.zeros((len(window.orders), solved.left.shape[1]))
     for row, order in enumerate(window.orders):
         if window.sweep.passes(order, (1.0 - zeta) * peak, (1.0 + zeta) * peak):

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import ModalFit, Mode, SweepFits
+from crankorder.identify.modes.order_blocks import TURNS_SURELY
 from crankorder.identify.modes.order_modes import is_shown
 from crankorder.identify.modes.pole_errors import side_by_side
 from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at
@@ -108,7 +109,7 @@ def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings
     highest = max((order for sweep in spectra for order in sweep.orders), default=0.0)
     if not highest:
         return SweepFits()
-    cycle = int(followed[0].attrs["revs_per_cycle"])
+    cycle = spectra[0].cycle_rev
     return sweep_fits(spectra, others=(np.arange(1, cycle * highest + 1) / cycle).tolist(), settings=settings)
 
 
@@ -122,9 +123,19 @@ def _turns_surely(tracks: xr.Dataset) -> bool:
 
 
 def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[xr.Dataset]:
-    """``followed`` (RecordingTracks) whose rows near the modes of ``fits`` are theirs, with one more at each peak."""
+    """``followed`` (RecordingTracks) whose rows near the modes of ``fits`` are theirs, with one more at each peak.
+
+    What each row would be if its speed were held is their ``held_amplitude`` (channel, order, frame): the steady answer
+    of the fit near a mode, elsewhere what the filter tells with what it took put back. The attribute ``turns_surely``
+    says whether the angle is so sure that the signals were asked for modes at all.
+    """
     replaced = []
     for tracks in followed:
+        if "smoothing" in tracks:
+            changed = ("amplitude", "standard_error", "degrees_of_freedom", *SMOOTHING)
+            own = {name: tracks[name].copy() for name in changed}
+            own["held_amplitude"] = (tracks["amplitude"] + tracks["smoothing"]).assign_attrs(tracks["amplitude"].attrs)
+            tracks = tracks.assign(own).assign_attrs({TURNS_SURELY: int(_turns_surely(tracks))})
         for group in fits.groups if "waveform" in tracks else ():
             numbers = tracks["order"].values.tolist()
             proven = {order for pole in group.poles for order in pole.orders}
@@ -162,16 +173,15 @@ def _with_order(
         if not better.any():
             return tracks
     peak = None if alone else _peak(fit, order, tracks["time"].values[near], np.abs(value).max(axis=1))
-    if peak is None:
-        tracks = tracks.copy(deep=True)
-    else:
+    if peak is not None:
         tracks, at = _with_row(tracks, peak, fit)
         near = np.insert(near, at, True)
         value, error = _values(group, fit, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
+    held = fit.held(order, order * tracks["speed"].values[near] / 60.0) - value
     value, error = _with_witness(tracks, place, near, value, error, rung=_rung(tracks, place, near, fit))
     usable = np.isfinite(tracks["amplitude"].values[:, place][:, near].real).any(axis=1)
     rows = np.ix_(np.flatnonzero(usable), np.array([place]), np.flatnonzero(near))
-    for name, given in (("amplitude", value), ("standard_error", error)):
+    for name, given in (("amplitude", value), ("held_amplitude", held + value), ("standard_error", error)):
         tracks[name].values[rows] = given.T[usable][:, None]
     for name in SMOOTHING:
         tracks[name].values[rows] = 0.0
@@ -265,12 +275,12 @@ def _with_row(tracks: xr.Dataset, time_s: float, solved: Solved) -> tuple[xr.Dat
     time = tracks["time"].values
     at = int(np.searchsorted(time, time_s))
     beside = min(at, len(time) - 1)
-    longer = tracks.isel(frame=np.insert(np.arange(len(time)), at, beside)).copy(deep=True)
+    longer = tracks.isel(frame=np.insert(np.arange(len(time)), at, beside))
     sweep = solved.window.sweep
     longer.coords["time"].values[at] = time_s
     longer.coords["speed"].values[at] = np.interp(time_s, sweep.time_s, sweep.speed_rpm)
     longer.coords["crank_angle"].values[at] = np.interp(time_s, sweep.time_s, sweep.angle_rev)
-    for name in ("amplitude", "standard_error"):
+    for name in ("amplitude", "held_amplitude", "standard_error"):
         longer[name].values[:, :, at] = np.nan
     for name in ("degrees_of_freedom", *SMOOTHING):
         longer[name].values[:, :, at] = 0.0

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.special import chdtri, fdtrc
 
 from crankorder.identify.found import SweepFits
-from crankorder.identify.modes.order_terms import resonance
 from crankorder.identify.modes.responses import EXCLUSION, SAME_ORDER, Hiding
 from crankorder.identify.modes.surface_fit import covariance_among
 from crankorder.identify.modes.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, Starts, shares_of
@@ -119,15 +118,15 @@ def sweep_fits(
     sure = tuple(one for one in refined if one is not None and one.poles)
     proven = [pole.frequency_hz for one in sure for pole in one.poles]
     hidden: list[Hiding] = []
-    ends: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
+    left: list[tuple[float, float]] = []
     for at, (low, high) in enumerate(tiles):
         fit = looked[at].fit if at in looked else None
         unseen = hidden_in(fit.bare, low, high, proven, settings=settings) if fit else []
         hidden += unseen
         # one that asks for more is not searched to its end: nothing is said to be free there
-        if unseen or at not in looked or (fit is None and looked[at].starts):
-            ends[bool(unseen)].append((low, high))
-    return SweepFits(sure, tuple(hidden), tuple(ends[True]), tuple(sorted(every)), tuple(ends[False]))
+        if not unseen and (at not in looked or (fit is None and looked[at].starts)):
+            left.append((low, high))
+    return SweepFits(sure, tuple(hidden), tuple(sorted(every)), tuple(left))
 
 
 def _tiles(spectra: Sequence[SweepSpectrum]) -> list[tuple[float, float]]:
@@ -198,16 +197,19 @@ class _Search:
         strong = tuple(
             window.with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders) for window in windows
         )
-        fit, shown = self._with_orders(LocalFit(strong, natural, damping).settled(**ROUGHLY))
+        fit, shown = LocalFit(strong, natural, damping).settled(**ROUGHLY), set[float]()
         tried, most = 0, min(NUMBERS.most_poles, most_starts)
         while tried < most:
             starts = Starts.of(fit, low, high)
+            if starts.saves.max() >= starts.limit(self.settings.false_alarm_probability):
+                # what asks for a pole may be an order that nobody followed
+                fit, again = self._with_orders(fit)
+                starts, shown = Starts.of(fit, low, high) if again else starts, shown | again
             trial = None if starts.beyond and starts.beyond not in back else self._with_pole(fit, starts.inside)
             tried += 1
             if trial is None:
                 break
-            fit, again = self._with_orders(trial)
-            shown |= again
+            fit = trial
         others = [pole for pole in poles if not ends[0] < pole[0] < ends[1]]
         poles = others + fit.poles
         return TileLooked(poles, shown, fit.bare if trial is None else None, tried, sent=starts.beyond)
@@ -419,10 +421,8 @@ def _of_order(solved: Solved, place: int, cells: Floats, added: Floats, known: S
     hz = order * window.sweep.speed_rpm / 60.0
     at = cells[(cells >= hz.min()) & (cells <= hz.max())]
     kept = np.searchsorted(cells, at)
-    force = window.force_at(order, at)
-    own = slice(place * solved.width, (place + 1) * solved.width)
-    smooth, answers = window.powers_at(at), resonance(at, solved.natural_hz, solved.damping)
-    path = np.concatenate([smooth, answers], axis=1) * force[:, None]
+    force, own = window.force_at(order, at), slice(place * solved.width, (place + 1) * solved.width)
+    path = window.paths(solved.natural_hz, solved.damping, at) * force[:, None]
     amplitude, degree = solved.amplitude[own], window.degree + 1
     scatter = np.square(window.level) * solved.misfit / max(solved.freedom, 1)
     spread = np.sum(np.abs(path @ (solved.inverse[own] / solved.scale[own, None])) ** 2, axis=1)

@@ -182,8 +182,9 @@ class Window:
     shape: Floats
     level: Floats
     bends: dict[float, complex] = field(default_factory=dict)
-    _made: dict[tuple[float, complex], tuple[Complexes, Complexes]] = field(default_factory=dict, repr=False)
-    _passages: dict[float, tuple[Floats, Complexes, int]] = field(default_factory=dict, repr=False)
+    _made: dict[tuple[float, complex, bool], Complexes] = field(default_factory=dict, repr=False)
+    _unbent: dict[float, tuple[Complexes, Floats]] = field(default_factory=dict, repr=False)
+    _passages: dict[float, tuple[Floats, Complexes]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -221,9 +222,9 @@ class Window:
     @cached_property
     def powers(self) -> Floats:
         """Polynomials (B, degree + 1) of the frequency."""
-        return self.powers_at(self.frequency_hz)
+        return self._powers_at(self.frequency_hz)
 
-    def powers_at(self, frequency_hz: Floats) -> Floats:
+    def _powers_at(self, frequency_hz: Floats) -> Floats:
         """Polynomials (G, degree + 1) of ``frequency_hz`` (G,)."""
         place = (2.0 * frequency_hz - self.low_hz - self.high_hz) / (self.high_hz - self.low_hz)
         return np.asarray(legendre.legvander(place, self.degree))
@@ -237,34 +238,59 @@ class Window:
         """Mean logarithm of the speed while ``order`` passes the window."""
         return float(self.sweep.logarithm[self.sweep.passing(order, self.low_hz, self.high_hz)].mean())
 
-    def force(self, order: float) -> tuple[Complexes, Complexes]:
-        """Transform (B,) of a force of unit size that turns by ``order``, and its slope by the order's bend."""
+    def force(self, order: float) -> Complexes:
+        """Transform (B,) of a force of unit size that turns by ``order``."""
+        return self._transform(order, sloped=False)
+
+    def force_slope(self, order: float) -> Complexes:
+        """Slope (B,) of :meth:`force` by the bend of ``order``."""
+        return self._transform(order, sloped=True)
+
+    def _transform(self, order: float, *, sloped: bool) -> Complexes:
         bend = self.bends.get(order, 0j)
-        if (order, bend) not in self._made:
-            logarithm, carrier, first = self._passage(order)
-            turned = carrier * np.exp(bend * logarithm)
-            both = fft(np.stack([turned, turned * logarithm]), axis=1)[:, first : first + len(self.frequency_hz)]
-            self._made = {key: kept for key, kept in self._made.items() if key[0] != order}
-            self._made[order, bend] = (both[0], both[1])
-        return self._made[order, bend]
+        if (order, bend, sloped) not in self._made:
+            inner = slice(self._beside, self._beside + len(self.frequency_hz))
+            if bend or sloped:
+                logarithm, carrier = self._passage(order)
+                turned = carrier * np.exp(bend * logarithm)
+                made = fft(turned * logarithm if sloped else turned)[inner]
+            else:
+                made = self._bins_of(order)[0][inner]
+            self._made = {key: kept for key, kept in self._made.items() if key[0] != order or key[1] == bend}
+            self._made[order, bend, sloped] = made
+        return self._made[order, bend, sloped]
 
-    def _passage(self, order: float) -> tuple[Floats, Complexes, int]:
-        """Logarithm of the speed and unbent force (T,) of ``order``, both as far as the window's bins tell them.
+    @property
+    def _beside(self) -> int:
+        """Bins on each side of its own that a force has."""
+        return int(BESIDE_SHARE * len(self.frequency_hz))
 
-        Bins beside it go with these, so that a bend finds its neighbours; the third is the number of those below. The
-        logarithm ends where the order has passed them: what it leaves from there is smooth.
+    def _bins_of(self, order: float) -> tuple[Complexes, Floats]:
+        """Transform of the unbent force of ``order`` in the window's bins and those beside; the logarithm of the speed.
+
+        With the neighbours a bend finds what it moves there.
         """
-        if order not in self._passages:
+        if order not in self._unbent:
             logarithm, carrier = self._carrier(order)
             whole = fft(carrier * np.exp(FORCE_EXPONENT * logarithm)) * (0.5 * self.thinned)
-            beside = int(BESIDE_SHARE * len(self.frequency_hz))
-            count = min(next_fast_len(len(self.frequency_hz) + 2 * beside), len(whole))
-            ends = self.bins.start - beside + np.array([0, count])
-            time = np.arange(count) * (len(whole) / count)
-            logarithm = np.interp(time, np.arange(len(whole)), logarithm)
+            count = min(next_fast_len(len(self.frequency_hz) + 2 * self._beside), len(whole))
+            first = self.bins.start - self._beside
+            self._unbent[order] = whole.take(np.arange(first, first + count), mode="wrap"), logarithm
+        return self._unbent[order]
+
+    def _passage(self, order: float) -> tuple[Floats, Complexes]:
+        """Logarithm of the speed and unbent force (T,) of ``order``, both as far as the window's bins tell them.
+
+        The logarithm ends where the order has passed them: what it leaves from there is smooth.
+        """
+        if order not in self._passages:
+            bins, logarithm = self._bins_of(order)
+            ends = self.bins.start - self._beside + np.array([0, len(bins)])
+            time = np.arange(len(bins)) * (len(logarithm) / len(bins))
+            logarithm = np.interp(time, np.arange(len(logarithm)), logarithm)
             hz = np.maximum(ends, 1) * self.sweep.rate_hz / len(self.sweep.angle_rev)
             logarithm = np.clip(logarithm, *(np.log(60.0 * hz / order) - self._middle_of(order)))
-            self._passages[order] = logarithm, ifft(whole.take(np.arange(*ends), mode="wrap")), beside
+            self._passages[order] = logarithm, ifft(bins)
         return self._passages[order]
 
     @cached_property
@@ -307,7 +333,7 @@ class Window:
         In any channel, behind the modes ``natural_hz``, ``damping`` (M,) that are known.
         """
         solved, path = self.solved(natural_hz, damping), self.paths(natural_hz, damping)
-        forces = np.stack([self.force(order)[0] for order in self.orders])
+        forces = np.stack([self.force(order) for order in self.orders])
         size = np.linalg.norm(forces[:, :, None] * (path @ solved.by_order), axis=1)
         size = (size / np.maximum(size.max(axis=0), 1e-300)).max(axis=1)
         least = max(share, float(np.sort(size)[-most:].min()))
@@ -327,12 +353,18 @@ class Window:
         ``natural_hz`` and ``damping`` (M,): of the modes.
         """
         basis = self.paths(natural_hz, damping)
-        columns = [self.force(order)[0][:, None] * basis for order in self.orders]
+        columns = [self.force(order)[:, None] * basis for order in self.orders]
         return np.concatenate([*columns, self.ringing(natural_hz, damping), self.powers[:, :2] + 0j], axis=1)
 
-    def paths(self, natural_hz: Floats, damping: Floats) -> Complexes:
-        """How the channels may answer an order: polynomials (B, degree + 1 + M), then ``natural_hz``, ``damping``."""
-        return np.concatenate([self.powers, resonance(self.frequency_hz, natural_hz, damping)], axis=1)
+    def paths(self, natural_hz: Floats, damping: Floats, frequency_hz: Floats | None = None) -> Complexes:
+        """How the channels may answer an order: polynomials (G, degree + 1 + M), then the modes.
+
+        ``natural_hz`` and ``damping`` (M,): of these; ``frequency_hz`` (G,): where, at the bins if left out.
+        """
+        at, powers = self.frequency_hz, self.powers
+        if frequency_hz is not None:
+            at, powers = frequency_hz, self._powers_at(frequency_hz)
+        return np.concatenate([powers, resonance(at, natural_hz, damping)], axis=1)
 
     def solved(self, natural_hz: Floats, damping: Floats) -> Solved:
         """Least-squares amplitudes of all columns in all channels behind the modes ``natural_hz``, ``damping`` (M,)."""
@@ -431,7 +463,7 @@ class Solved:
         turned[:modes, :modes] = np.eye(modes)
         bent = np.empty((*self.left.shape, size), dtype=np.complex128)
         for at, order in enumerate(window.orders):
-            bent[..., at] = window.force(order)[1][:, None] * (path @ self.by_order[at])
+            bent[..., at] = window.force_slope(order)[:, None] * (path @ self.by_order[at])
             place = modes + 2 * orders.index(order)
             turned[modes + at, place : place + 2] = 1.0, 1j
         every: Complexes = np.concatenate([self._bent, bent], axis=2)
@@ -454,7 +486,7 @@ class Solved:
     def _bent(self) -> Complexes:
         """Derivatives (B, C, 2 M) of the columns by ln f and ln ζ of each mode, with their amplitudes."""
         answered, rung = self._answers_bent
-        forces = np.stack([self.window.force(order)[0] for order in self.window.orders], axis=1)
+        forces = np.stack([self.window.force(order) for order in self.window.orders], axis=1)
         driven = np.tensordot(forces, self.residues, axes=1)  # (B, M, C)
         rings = self.amplitude[-2 - len(self.natural_hz) : -2]
         bent = np.repeat(driven, 2, axis=1) * answered[:, :, None] + rung[:, :, None] * np.repeat(rings, 2, axis=0)
@@ -477,6 +509,13 @@ class Solved:
             slope = self._slope_of_envelope(order, turn, seen)
             variance = variance + 2.0 * np.sum((slope @ covariance) * slope.conj(), axis=2).real
         return value, np.asarray(variance)
+
+    def held(self, order: float, frequency_hz: Floats) -> Complexes:
+        """Complex amplitude (T, C) that ``order`` would have if it were held at ``frequency_hz`` (T,)."""
+        path = self.window.paths(self.natural_hz, self.damping, frequency_hz)
+        return np.asarray(
+            self.window.force_at(order, frequency_hz)[:, None] * (path @ self.by_order[self.window.orders.index(order)])
+        )
 
     def line(self, order: float, angle_rev: Floats) -> Complexes:
         """Amplitude (T, C) of ``order`` about each ``angle_rev`` (T,) as an analysis by crank angle reads it.
@@ -534,7 +573,7 @@ class Solved:
         """
         window, own = self.window, self._columns_of(order)
         answered, _ = self._answers_bent
-        force, place = window.force(order)[0], window.orders.index(order)
+        force, place = window.force(order), window.orders.index(order)
         residues = np.repeat(self.residues[place].T, 2, axis=1)  # (C, 2 M)
         direct = (turn @ (answered * force[:, None]))[:, None, :] * residues
         return np.asarray(direct - (seen @ self._bent_amplitude[own]).reshape(direct.shape))
@@ -549,7 +588,7 @@ class Solved:
         """What one ``order`` more, answered smoothly and by the modes, saves of twice the negative log likelihood."""
         window = self.window
         path = window.paths(self.natural_hz, self.damping)
-        columns = window.force(order)[0][:, None] * path / window.shape[:, None]
+        columns = window.force(order)[:, None] * path / window.shape[:, None]
         columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         beyond = self._beyond(columns)
         gram = beyond.conj().T @ beyond + 1e-6 * np.eye(beyond.shape[1])

@@ -99,11 +99,10 @@ def both_ways(problem: Problem, fit: SurfaceFit, number: int) -> tuple[SurfaceFi
 def _on_a_tone(frequency_hz: float, fit: SurfaceFit, floor: Floor) -> bool:
     """Whether a narrow line lies on a multiple of a tone, and hardly by chance."""
     near = NUMBERS.multiple_bins * floor.seen.bin_hz
-    for tone in (*(f for f, _ in floor.strong), *fit.poles.frequency_hz[fit.poles.tone].tolist()):
-        multiple = round(frequency_hz / tone)
-        if multiple >= 2 and near < NUMBERS.by_chance_share * tone and abs(frequency_hz - multiple * tone) <= near:
-            return True
-    return False
+    tones = np.array([*(f for f, _ in floor.strong), *fit.poles.frequency_hz[fit.poles.tone].tolist()])
+    multiple = np.rint(frequency_hz / tones)
+    on = (multiple >= 2.0) & (np.abs(frequency_hz - multiple * tones) <= near)
+    return bool((on & (near < NUMBERS.by_chance_share * tones)).any())
 
 
 def _is_wide(fit: SurfaceFit, number: int, problem: Problem, settings: IdentifySettings) -> bool:

@@ -162,7 +162,9 @@ def _best_line(excess: Floats, cells: _Cells) -> tuple[Floats | None, int]:
     n_tried = sums.size * len(BOXES)
     best, line = float(np.sqrt(2.0 * np.log(max(n_tried, 2)))), None
     for box in BOXES if len(slopes) else ():
-        along, independent = (_sums_over(values, box) for values in (sums, counts))
+        # sums over so many places about each; nothing is beyond the ends
+        beside = np.pad([sums, counts], ((0, 0), (0, 0), (box // 2 + 1, box - box // 2 - 1))).cumsum(axis=-1)
+        along, independent = beside[..., box:] - beside[..., :-box]
         score = along / np.sqrt(HANN_CORRELATION * np.maximum(independent, 0.5 * box * len(excess)))
         score /= max(1.0, 1.4826 * float(np.median(np.abs(score))))
         row, column = np.unravel_index(int(np.argmax(score)), score.shape)
@@ -170,12 +172,6 @@ def _best_line(excess: Floats, cells: _Cells) -> tuple[Floats | None, int]:
             best, hz = float(score[row, column]), float(cells.frequency_hz[column])
             line = np.array([hz, slopes[row], 0.25 * box * step / hz])
     return line, n_tried
-
-
-def _sums_over(values: Floats, box: int) -> Floats:
-    """Sums of so many ``values`` (rows, places) about each place: a ``box`` that is empty beyond the ends."""
-    beside = np.pad(values, ((0, 0), (box // 2 + 1, box - box // 2 - 1))).cumsum(axis=1)
-    return np.asarray(beside[:, box:] - beside[:, :-box])
 
 
 def _fitted(start: Floats, cells: _Cells, chance: float, *, moves: bool = True) -> _Fit:
@@ -473,8 +469,8 @@ def without_remains(fit: ModalFit, whirls: tuple[Whirl, ...], speed_rpm: Floats)
 def _is_meeting(mode: Mode, whirl: Whirl) -> bool:
     """Whether ``mode`` is where an order that shows it meets ``whirl``."""
     near = max(mode.damping_ratio, whirl.damping_ratio) * mode.frequency_hz
-    met = [(order, whirl.meets(order)) for order in mode.reached_by]
-    return any(rpm is not None and abs(order * rpm / 60.0 - mode.frequency_hz) <= near for order, rpm in met)
+    met = [order * rpm / 60.0 for order in mode.reached_by if (rpm := whirl.meets(order)) is not None]
+    return any(abs(hertz - mode.frequency_hz) <= near for hertz in met)
 
 
 def _is_hump(mode: Mode, whirl: Whirl, speed_rpm: Floats) -> bool:

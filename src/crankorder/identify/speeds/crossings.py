@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
 from crankorder.findings import CrossingFinding, Verdict
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Whirl
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Seen, Whirl
 from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
+from crankorder.identify.lines.growth import PowerLaw, power_law
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import WithAndWithout, with_and_without
 from crankorder.quantities import Floats
@@ -19,21 +20,6 @@ from crankorder.records import Ends, finite
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 TREND_NUMBERS = MethodNumbers("5-identify-explain.toml", "above_trend")
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What one channel says of one crossing: ``chance`` that an order without the mode looks like that.
-
-    ``ratio`` with its interval is that of the amplitude at ``at_rpm`` to the trend beside; None where there is none.
-    """
-
-    channel: str
-    chance: float
-    at_rpm: float | None = None
-    ratio: float | None = None
-    ratio_low: float = 0.0
-    ratio_high: float = np.inf
 
 
 def width_rpm(rpm: float, mode: Mode, settings: IdentifySettings) -> float:
@@ -77,7 +63,8 @@ def above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple
     at = at[(line.amplitude[at] > 0.0) & np.isfinite(line.amplitude_error[at])]
     if not at.size or law is None:
         return []
-    excess, error = law.excess(speed[at], line.amplitude[at], line.amplitude_error[at])
+    relative = _relative(line.amplitude[at], line.amplitude_error[at])
+    excess, error = law.excess(np.log(speed[at]), np.log(line.amplitude[at]), relative)
     best = int(np.argmax(excess / error))
     chance = min(1.0, at.size * float(stdtr(law.freedom, -excess[best] / error[best])))
     half = half_width(law.freedom, level=1.0 - 0.05 / at.size) * error[best]
@@ -102,84 +89,23 @@ def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tup
     chosen = next((rows for rows in choices if np.count_nonzero(rows) >= TREND_NUMBERS.enough_beside), free)
     if np.count_nonzero(chosen) < TREND_NUMBERS.least_beside:
         return None
-    return power_law(speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen])
+    chosen &= (line.amplitude > 0.0) & np.isfinite(line.amplitude_error) & np.isfinite(speed)
+    speed, amplitude, error = speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen]
+    if len(speed) < 3 or np.ptp(speed) <= 1e-6 * float(np.mean(speed)):
+        return None
+    return power_law(np.log(speed), np.log(amplitude), _relative(amplitude, error))
 
 
-def seen_all_around(line: OrderLine, rpm: float, tested: Floats) -> bool:
-    """Whether ``line`` stands out at most of the speeds ``tested`` (n,) in rpm around ``rpm``.
-
-    Where it hides in the floor, its trend is too high.
-    """
-    around = np.abs(np.log(tested / rpm)) < TREND_NUMBERS.beside_log_ratio
-    seen = np.abs(np.log(line.speed_rpm / rpm)) < TREND_NUMBERS.beside_log_ratio
-    return bool(np.count_nonzero(seen) >= TREND_NUMBERS.mostly_seen_share * np.count_nonzero(around))
+def _count_around(rpm: float, speeds_rpm: Floats) -> int:
+    """How many of ``speeds_rpm`` (n,) are beside ``rpm``."""
+    return int(np.count_nonzero(np.abs(np.log(speeds_rpm / rpm)) < TREND_NUMBERS.beside_log_ratio))
 
 
 LAW_NUMBERS = MethodNumbers("5-identify-explain.toml", "order_trend")
 
 
-@dataclass(frozen=True)
-class PowerLaw:
-    """log amplitude = ``level`` + ``exponent`` · log(speed / ``reference_rpm``), from speeds that scatter about it.
-
-    ``covariance`` (2, 2) of (level, exponent), with ``freedom`` degrees of freedom; ``scatter`` is the variance of the
-    logarithm beyond the amplitudes' own errors, ``scale`` by how much both are to be widened.
-    """
-
-    reference_rpm: float
-    level: float
-    exponent: float
-    covariance: Floats
-    scatter: float
-    scale: float
-    freedom: int
-
-    def excess(self, speed_rpm: Floats, amplitude: Floats, amplitude_error: Floats) -> tuple[Floats, Floats]:
-        """Logarithm of ``amplitude`` over the law at ``speed_rpm``, and its standard error: (speeds,) each.
-
-        ``amplitude_error`` are the standard errors of the amplitudes, which took no part in the law.
-        """
-        x = np.log(speed_rpm / self.reference_rpm)
-        own = _relative(amplitude, amplitude_error) ** 2 + self.scatter
-        of_law = self.covariance[0, 0] + 2.0 * x * self.covariance[0, 1] + x**2 * self.covariance[1, 1]
-        excess = np.log(amplitude) - self.level - self.exponent * x
-        return excess, np.sqrt(of_law + self.scale * own)
-
-
-def power_law(speed_rpm: Floats, amplitude: Floats, amplitude_error: Floats) -> PowerLaw | None:
-    """Power law of ``amplitude`` against ``speed_rpm``; None for fewer than three speeds or for one speed only.
-
-    All are (speeds,); ``amplitude_error`` are standard errors; speeds without either take no part. Speeds are weighted
-    by their errors and by a scatter common to all (DerSimonian and Laird 1986); the covariance is that of the
-    residuals, so that Student's t holds (Knapp and Hartung 2003).
-    """
-    known = (amplitude > 0.0) & np.isfinite(amplitude_error) & np.isfinite(speed_rpm)
-    speed_rpm, amplitude, amplitude_error = speed_rpm[known], amplitude[known], amplitude_error[known]
-    if len(speed_rpm) < 3 or np.ptp(speed_rpm) <= 1e-6 * float(np.mean(speed_rpm)):
-        return None
-    reference = float(np.exp(np.mean(np.log(speed_rpm))))
-    design = np.stack([np.ones(len(speed_rpm)), np.log(speed_rpm / reference)], axis=1)
-    y, own = np.log(amplitude), _relative(amplitude, amplitude_error) ** 2
-    freedom = len(y) - 2
-    weight = 1.0 / own
-    _, inverse, cost = _weighted(design, y, weight)
-    spare = weight.sum() - np.trace(inverse @ (design * weight[:, None] ** 2).T @ design)
-    scatter = max(0.0, (cost - freedom) / float(spare))
-    solution, inverse, cost = _weighted(design, y, 1.0 / (own + scatter))
-    scale = max(cost / freedom, 1e-12)
-    return PowerLaw(reference, float(solution[0]), float(solution[1]), inverse * scale, scatter, scale, freedom)
-
-
 def _relative(amplitude: Floats, error: Floats) -> Floats:
     return np.clip(error / amplitude, LAW_NUMBERS.least_relative_error, LAW_NUMBERS.most_relative_error)
-
-
-def _weighted(design: Floats, y: Floats, weight: Floats) -> tuple[Floats, Floats, float]:
-    """Weighted least squares: solution, inverse of the normal matrix, weighted sum of squares that is left."""
-    inverse: Floats = np.asarray(np.linalg.inv(design.T @ (design * weight[:, None])), dtype=np.float64)
-    solution = inverse @ (design.T @ (weight * y))
-    residual = y - design @ solution
-    return solution, inverse, float(np.sum(weight * residual**2))
 
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "crossings")
@@ -203,7 +129,7 @@ def crossings(
     """Meetings of every order with every natural frequency, that of a whirl where it is at that speed, by speed.
 
     An order is excited where its amplitude stands above the trend beside the crossing: a power law of the speeds
-    outside the neighbourhood, with scatter of its own (DerSimonian and Laird 1986; Knapp and Hartung 2003), so that
+    outside the neighbourhood, with scatter of its own (Paule and Mandel 1982; Knapp and Hartung 2003), so that
     the excess is Student's t; or where the fit of the modes gives it a residue that noise would not (F test), by which
     the order is larger with the mode than without. Both tests of all channels are joined (Simes 1986), and of all
     crossings tested the false discovery rate is held at 5 % (Benjamini and Hochberg 1995). That an order rises is told
@@ -225,23 +151,21 @@ def crossings(
     """
     if not (np.isfinite(speed_rpm[0]) and np.isfinite(speed_rpm[1])):
         return ()
-    speeds = [line.speed_rpm for agreed in orders for line in agreed.lines]
-    tested = np.unique(np.concatenate(speeds)) if speeds else np.zeros(0)  # at which any order was seen
+    tested = np.unique([rpm for agreed in orders for rpm in agreed.speed_rpm])  # at which any order was seen
     met: list[tuple[Crossing, list[Seen]]] = []
     for agreed in orders:
         for number, fit, whirl in _met_by(agreed.order, modal):
             crossing = _unmeasured(agreed.order, fit.modes[number], whirl, speed_rpm, settings)
             rpm, near = crossing.finding.rpm, width_rpm(crossing.finding.rpm, crossing.mode, settings)
             others = [(60.0 * mode.frequency_hz / agreed.order, mode.damping_ratio) for mode in fit.modes]
-            seen = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
-            seen += [test for of in responses_to(agreed.order, fit) for test in _by_residue(of, number, fit)]
-            met.append((_measured(crossing, agreed, number, seen, fit, tested, near), seen))
-    missing = [
-        order for order in stated if all(abs(order - own.order) > NUMBERS.same_stated_share * order for own in orders)
-    ]
+            trends = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
+            crossing = replace(crossing, trends=tuple(trends))
+            seen = trends + [test for of in responses_to(agreed.order, fit) for test in _by_residue(of, number, fit)]
+            met.append((_measured(crossing, agreed, number, fit, tested, near), seen))
     unmeasured = [
         _unmeasured(order, fit.modes[number], whirl, speed_rpm, settings)
-        for order in missing
+        for order in stated
+        if all(abs(order - own.order) > NUMBERS.same_stated_share * order for own in orders)
         for number, fit, whirl in _met_by(order, modal)
     ]
     return tuple(sorted(_decided(met) + unmeasured, key=lambda met: (met.finding.rpm, met.finding.order)))
@@ -302,32 +226,33 @@ def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
 
 
 def _measured(
-    crossing: Crossing, agreed: AgreedOrder, number: int, seen: list[Seen], modal: ModalFit, tested: Floats, near: float
+    crossing: Crossing, agreed: AgreedOrder, number: int, modal: ModalFit, tested: Floats, near: float
 ) -> Crossing:
     """``crossing`` as the amplitudes of ``agreed`` show it, with the verdict that it has where it is not excited.
 
-    ``seen`` is what each channel says of the order with and without mode ``number`` of ``modal``; ``tested`` are all
-    speeds in rpm, of which those within ``near`` count as at the crossing.
+    The mode is that of the ``number`` in ``modal``; ``tested`` are all speeds in rpm, of which those within ``near``
+    count as at the crossing.
     """
     mode, whirl, finding = crossing.mode, crossing.whirl, crossing.finding
-    relative = [mode.frequency_error_hz / mode.frequency_hz, agreed.order_error / agreed.order]
-    error = float(np.hypot(relative[0], relative[1]))
+    of_order, freedom = agreed.order_error / agreed.order, ENDLESS_FREEDOM
+    error = float(np.hypot(mode.frequency_error_hz / mode.frequency_hz, of_order))
     # the order's error has few degrees of freedom, the mode's many (Welch and Satterthwaite)
-    freedom = ENDLESS_FREEDOM
-    if relative[1] > 0.0 and agreed.degrees_of_freedom > 0.0:
-        freedom = min(freedom, agreed.degrees_of_freedom * (error / relative[1]) ** 4)
+    if of_order > 0.0 and agreed.degrees_of_freedom > 0.0:
+        freedom = min(freedom, agreed.degrees_of_freedom * (error / of_order) ** 4)
     half = finding.rpm * error * half_width(freedom)
     fitted = [response for response in responses_to(agreed.order, modal) if response.fits]
+    ratios, quality = [amplification(response, number, modal) for response in fitted], _quality_factor(mode)
     finding = replace(
         finding,
         rpm_ci95=_ends_rpm(finding.rpm, half, agreed.order, whirl),
-        amplification_predicted=_predicted(fitted, number, modal),
+        # beyond that the fit says that hardly anything is left without the mode, which is no amplification
+        amplification_predicted=min(max(ratios, default=quality), quality),
         predicted_from="fit" if fitted else "damping",
         channels=tuple(line.channel for line in agreed.lines),
     )
     if not finding.in_range:
         return replace(crossing, finding=finding)
-    trends = [excess for excess in seen if excess.ratio is not None]
+    trends = crossing.trends
     trend = min(trends, key=lambda excess: excess.chance, default=None)
     by_fit = [excess for fit in fitted if (excess := fitted_excess(fit, number, modal)) is not None]
     best = None if trend is None else higher(trend, by_fit)
@@ -341,8 +266,12 @@ def _measured(
     rpm, least = finding.rpm, NUMBERS.clearly_excited_ratio
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     quiet = resolved and bool(trends) and max(excess.ratio_high for excess in trends) < least
-    quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
-    known = [fit for fit in fitted if number in fit.reached and fit.span_rpm[0] <= rpm <= fit.span_rpm[1]]
+    # where a line hides in the floor around the crossing, its trend is too high
+    around = _count_around(rpm, tested)
+    quiet &= all(
+        _count_around(rpm, line.speed_rpm) >= TREND_NUMBERS.mostly_seen_share * around for line in agreed.lines
+    )
+    known = [fit for fit in fitted if number in fit.reached and fit.passes(rpm)]
     if {fit.channel for fit in known} >= {line.channel for line in agreed.lines} and known:
         ends = [_beside_mode(fit, number, modal).ends(half_width(float(fit.degrees_of_freedom)))[1] for fit in known]
         quiet |= max(float(high.max()) for high in ends) < least
@@ -367,10 +296,9 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     does not hold the mode, or not that speed, or where its damping is not known.
     """
     mode = modal.modes[number]
-    if mode.damping_error > ORDER_MODES.known_share * mode.damping_ratio:
-        return None
-    rpm = 60.0 * mode.frequency_hz / response.order
-    if not response.fits or number not in response.reached or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
+    rpm, is_known = 60.0 * mode.frequency_hz / response.order, number in response.reached
+    is_known &= mode.damping_error <= ORDER_MODES.known_share * mode.damping_ratio
+    if not (is_known and response.fits and response.passes(rpm)):
         return None
     both = _beside_mode(response, number, modal)
     sigmas, least = half_width(float(response.degrees_of_freedom)), float(both.least[0])
@@ -389,17 +317,6 @@ def higher(trend: Seen, by_fit: Sequence[Seen]) -> Seen:
     """The largest of the excesses ``by_fit`` where its interval lies above that of the ``trend``; else the trend's."""
     above = [excess for excess in by_fit if excess.ratio_low > trend.ratio_high]
     return max(above, key=lambda excess: excess.ratio_low, default=trend)
-
-
-def _predicted(fitted: list[OrderResponse], number: int, modal: ModalFit) -> float:
-    """Largest ratio, of all channels, of the response with the mode to that without it, at its natural frequency.
-
-    1 / (2 ζ) where nothing was ``fitted``, and at most: what a mode makes of a force, seen against its own stiffness.
-    """
-    ratios = [amplification(response, number, modal) for response in fitted]
-    quality = _quality_factor(modal.modes[number])
-    # beyond that the fit says that hardly anything is left without the mode, which is no amplification
-    return min([max(ratios), quality]) if ratios else quality
 
 
 def amplification(response: OrderResponse, number: int, modal: ModalFit) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from scipy.special import ndtri
@@ -26,7 +26,7 @@ from crankorder.identify.lines.growth import largest, reported_within
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import EXCLUSION, HeldPeak, peak_of, together, with_and_without
 from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
-from crankorder.identify.speeds.crossings import above_trend, fitted_excess, higher, responses_to, width_rpm
+from crankorder.identify.speeds.crossings import fitted_excess, higher, responses_to, width_rpm
 from crankorder.quantities import Bools
 from crankorder.records import Ends, known
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -40,10 +40,6 @@ FLANKS = 120
 def _open(low: float, high: float, why: str, *, amplified: bool = False) -> OpenBand:
     """Speeds ``low`` to ``high`` (rpm) that are not free, and ``why``."""
     return OpenBand(low_rpm=low, high_rpm=high, remark=why, amplified=amplified)
-
-
-RINGING = "{0.mode_hz:.4g} Hz rings on there from order {0.rung_by:.4g}: another order that met it would be hidden"
-"""Why HiddenSpeeds are not free."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,6 @@ def speeds_to_avoid(
         *(_open(min(_range(a)[0], a.rpm * least), max(_range(a)[1], a.rpm * most), "") for a in avoid),
         *_by_modes(found, modal, unit, largest, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
-        *(_open(ringing.low_rpm, ringing.high_rpm, RINGING.format(ringing)) for ringing in modal.hidden),
         *_by_shown(orders, modal, settings),
     ]
     free, rest = _split(opened, speed_rpm, settings)
@@ -185,11 +180,7 @@ def _cost(
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
     peak = peaks.get(channel)
     # how many times what it is without the mode: by the fit, unless the amplitudes stand higher over their trend
-    others = [] if crossing.whirl is None else [(finding.rpm, mode.damping_ratio)]
-    others += [(60.0 * other.frequency_hz / agreed.order, other.damping_ratio) for other in modal.modes]
-    near = width_rpm(finding.rpm, mode, settings)
-    lines = [line for line in agreed.lines if line.channel == channel]
-    trends = [excess for line in lines for excess in above_trend(line, finding.rpm, near, others)]
+    trends = [excess for excess in crossing.trends if excess.channel == channel]
     times = trend = min(trends, key=lambda excess: excess.chance, default=None)
     if peak is not None and peak.response is not None:
         by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
@@ -199,14 +190,11 @@ def _cost(
         times = None  # less than makes a speed one to avoid
     of_whirl = "" if crossing.whirl is None else f" of a whirl that moves by {crossing.whirl.slope:.3g} orders"
     undecided = ", which may be a natural frequency" if mode.undecided else ""
-    return AvoidedSpeed(
-        rank=1,
+    return _to_avoid(
+        finding.order,
+        finding.mode_hz,
         rpm=finding.rpm,
         rpm_range=rpm_range,
-        order=finding.order,
-        orders=(finding.order,),
-        mode_hz=finding.mode_hz,
-        modes_hz=(finding.mode_hz,),
         channel=channel,
         amplitude=None if peak is None else peak.amplitude,
         amplitude_ci95=None if peak is None else peak.ends,
@@ -217,6 +205,11 @@ def _cost(
         cost=shares.get(channel, 0.0),
         reason=f"order {finding.order:.4g} meets {finding.mode_hz:.4g} Hz{of_whirl}{undecided}",
     )
+
+
+def _to_avoid(order: float, mode_hz: float, **seen: Any) -> AvoidedSpeed:
+    """Record, not ranked yet, of where an ``order`` alone meets ``mode_hz`` and of what was ``seen`` there."""
+    return AvoidedSpeed(rank=1, order=order, orders=(order,), mode_hz=mode_hz, modes_hz=(mode_hz,), **seen)
 
 
 def _peaks(
@@ -247,7 +240,7 @@ def _peaks(
 def _fitted_peak(response: OrderResponse, rpm: float, rpm_range: Ends, modal: ModalFit, mode: Mode) -> HeldPeak | None:
     """Peak that ``mode`` makes at ``rpm`` by the fit ``response``; None where that does not know it."""
     is_known = response.fits and mode.damping_error <= ORDER_MODES.known_share * mode.damping_ratio
-    if not is_known or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
+    if not is_known or not response.passes(rpm):
         return None
     peak = peak_of(response, modal, rpm_range)
     if peak.rpm in rpm_range:  # the flank of another mode, which is larger than this peak
@@ -301,9 +294,9 @@ def _by_modes(
             low, high = finding.rpm - slower * (finding.rpm - low), finding.rpm + slower * (high - finding.rpm)
             says = finding.verdict if finding.in_range else "beside the tested range, so that its flank may reach in"
             bands.append(_open(low, high, f"{what}: {says}"))
-        alike = {(fit.recording, unit[fit.channel], fit.span_rpm) for fit in fits}
+        alike = {(fit.recording, unit[fit.channel], fit.force.span_rpm) for fit in fits}
         for key in sorted(alike):
-            group = [fit for fit in fits if (fit.recording, unit[fit.channel], fit.span_rpm) == key]
+            group = [fit for fit in fits if (fit.recording, unit[fit.channel], fit.force.span_rpm) == key]
             matters = EXCLUSION.matters_share * max(largest.get(fit.channel, 0.0) for fit in group)
             bands += _amplified(group, number, modal, what, matters=matters, settings=settings)
     return bands
@@ -321,7 +314,8 @@ def _amplified(
     rpm = 60.0 * mode.frequency_hz / group[0].order
     beside = NUMBERS.beside_share + sigmas * mode.frequency_error_hz / mode.frequency_hz
     near = max(NUMBERS.near_dampings * mode.damping_ratio, beside)
-    low, high = group[0].span_rpm  # all of it: what a flank adds to little is more than a resonance alone would make
+    # all of it: what a flank adds to little is more than a resonance alone would make
+    low, high = group[0].force.span_rpm
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
     grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, FLANKS)), low, high))
     both = together([with_and_without(fit, number, grid, modal) for fit in group])
@@ -380,8 +374,8 @@ def _by_shown(orders: AgreedOrders, modal: ModalFit, settings: IdentifySettings)
             continue
         name = f"order {order:.4g}, which only the spectrum of the sweep shows,"
         for mode in modal.modes:
-            ends = (mode.frequency_hz - mode.frequency_half_hz, mode.frequency_hz + mode.frequency_half_hz)
-            low, high = _amplifying((60.0 * ends[0] / order, 60.0 * ends[1] / order), settings.free_amplification)
+            begin, end = (60.0 * hertz / order for hertz in mode.frequency_ends)
+            low, high = _amplifying((begin, end), settings.free_amplification)
             bands.append(_open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"))
         for bound in modal.unseen:
             bands += _between(bound, settings.free_amplification, name) if _is_order(order, bound.order) else []
@@ -474,14 +468,11 @@ def lone_peaks(
             near = [mode.frequency_hz for mode in modal.modes if below < 60.0 * mode.frequency_hz / order < above]
             mode_hz = min(near, key=lambda mode_hz: abs(mode_hz - hz), default=hz)
             where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
-            peak = AvoidedSpeed(
-                rank=1,
+            peak = _to_avoid(
+                order,
+                mode_hz,
                 rpm=rpm,
                 rpm_range=(0.5 * (below + rpm), 0.5 * (rpm + above)),
-                order=order,
-                orders=(order,),
-                mode_hz=mode_hz,
-                modes_hz=(mode_hz,),
                 channel=channel,
                 amplitude=worst.amplitude,
                 amplitude_ci95=(worst.low, worst.high),

@@ -118,7 +118,7 @@ def inverse_band(factor):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def cos_sin(phase_rev, cosine, sine):  # type: ignore[no-untyped-def]
+def _cos_sin(phase_rev, cosine, sine):  # type: ignore[no-untyped-def]
     """Fill ``cosine`` and ``sine`` with those of ``phase_rev``; all of one length."""
     for j in range(phase_rev.shape[0]):
         turns = phase_rev[j]
@@ -169,7 +169,7 @@ def _waves(phase_rev, first, mask, turns, weight, waves):  # type: ignore[no-unt
     for k in range(n_orders):
         turns[:n] = phase_rev[k, first : first + n]
         cosine, sine = waves[k, :size], waves[n_orders + k, :size]
-        cos_sin(turns, cosine, sine)
+        _cos_sin(turns, cosine, sine)
         for j in range(turns.shape[0]):
             cosine[j] *= weight[j]
             sine[j] *= weight[j]
@@ -189,8 +189,8 @@ def _add_moments(left, right, powers, product, moments):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True)
-def add_moments(signals, scale, phase_rev, usable, begin, starts, gram, data, totals):  # type: ignore[no-untyped-def]
-    """Add to ``gram`` and ``data`` the moments of the samples that begin at ``begin`` of the record.
+def add_moments(signals, scale, phase_rev, usable, starts, gram, data, totals):  # type: ignore[no-untyped-def]
+    """Add to ``gram`` and ``data`` the moments of the samples.
 
     ``signals`` (channels, samples) times ``scale`` (channels,), ``phase_rev`` (orders, samples), ``usable`` (samples,)
     bool, ``starts`` (intervals + 1,) first sample of each; ``gram`` (intervals, pairs of cosine and sine rows, powers)
@@ -199,17 +199,16 @@ def add_moments(signals, scale, phase_rev, usable, begin, starts, gram, data, to
     """
     n_rows, n_channels = 2 * phase_rev.shape[0], signals.shape[0]
     waves, powers, room = np.empty((n_rows, CHUNK)), np.empty((gram.shape[2], CHUNK)), np.empty((3, CHUNK))
-    at, end = begin, begin + signals.shape[1]
-    i = np.searchsorted(starts, begin, side="right") - 1
+    at, end, i = 0, signals.shape[1], 0
     while at < end:
         while at >= starts[i + 1]:
             i += 1
         n = min(CHUNK, end - at, starts[i + 1] - at)
-        first, step, size = at - begin, 2.0 / (starts[i + 1] - starts[i]), _padded(n)
-        mask = usable[first : first + n]
+        step, size = 2.0 / (starts[i + 1] - starts[i]), _padded(n)
+        mask = usable[at : at + n]
         product, weight, value = room[0, :size], room[1, :size], room[2, :size]
         _powers((at - starts[i] + 0.5) * step - 1.0, step, size, powers)
-        _waves(phase_rev, first, mask, value, weight, waves)
+        _waves(phase_rev, at, mask, value, weight, waves)
         value[n:] = 0.0
         pair = 0
         for row in range(n_rows):
@@ -219,7 +218,7 @@ def add_moments(signals, scale, phase_rev, usable, begin, starts, gram, data, to
             _add_moments(waves[row, :size], weight, powers, product, data[i, n_channels, row])
         totals[n_channels] += weight.sum()
         for channel in range(n_channels):
-            given = signals[channel, first : first + n]
+            given = signals[channel, at : at + n]
             for j in range(n):
                 value[j] = scale[channel] * given[j] if mask[j] else 0.0
             totals[channel] += value.sum()
@@ -230,11 +229,11 @@ def add_moments(signals, scale, phase_rev, usable, begin, starts, gram, data, to
 
 @njit(cache=True, nogil=True)
 def evaluate(  # type: ignore[no-untyped-def]
-    signals, scale, offset, phase_rev, usable, begin, starts, pieces, amplitude, residual, data
+    signals, scale, offset, phase_rev, usable, starts, pieces, amplitude, residual, data
 ):
     """Fill ``amplitude`` and ``residual`` at each sample; add to ``data`` the moments of the residual.
 
-    ``signals``, ``scale``, ``phase_rev``, ``usable``, ``begin`` and ``starts`` as in ``add_moments``; ``pieces``
+    ``signals``, ``scale``, ``phase_rev``, ``usable`` and ``starts`` as in ``add_moments``; ``pieces``
     (intervals, channels, rows, powers) are the envelopes in u, ``offset`` (channels,) is the constant part,
     ``amplitude`` (channels, orders, 2 · samples) holds real and imaginary parts in turn, ``residual`` (channels,
     samples). Amplitudes and residuals are those of the signals as given; ``pieces``, ``offset`` and ``data`` those of
@@ -242,27 +241,26 @@ def evaluate(  # type: ignore[no-untyped-def]
     """
     n_orders, n_rows = phase_rev.shape[0], 2 * phase_rev.shape[0]
     waves, powers, room = np.empty((n_rows, CHUNK)), np.empty((data.shape[3], CHUNK)), np.empty((5, CHUNK))
-    at, end = begin, begin + signals.shape[1]
-    i = np.searchsorted(starts, begin, side="right") - 1
+    at, end, i = 0, signals.shape[1], 0
     while at < end:
         while at >= starts[i + 1]:
             i += 1
         n = min(CHUNK, end - at, starts[i + 1] - at)
-        first, step, size = at - begin, 2.0 / (starts[i + 1] - starts[i]), _padded(n)
-        mask = usable[first : first + n]
+        step, size = 2.0 / (starts[i + 1] - starts[i]), _padded(n)
+        mask = usable[at : at + n]
         product, weight, left = room[0, :size], room[1, :size], room[2, :size]
         real, imag = room[3, :size], room[4, :size]
         _powers((at - starts[i] + 0.5) * step - 1.0, step, size, powers)
-        _waves(phase_rev, first, mask, left, weight, waves)
+        _waves(phase_rev, at, mask, left, weight, waves)
         left[n:] = 0.0
         for channel in range(signals.shape[0]):
             unit = 1.0 / scale[channel]
-            given, rest = signals[channel, first : first + n], residual[channel, first : first + n]
+            given, rest = signals[channel, at : at + n], residual[channel, at : at + n]
             for j in range(n):
                 left[j] = scale[channel] * given[j] if mask[j] else 0.0
             for k in range(n_orders):
                 _horner(pieces[i, channel, k], pieces[i, channel, n_orders + k], powers[1, :size], real, imag)
-                out = amplitude[channel, k, 2 * first : 2 * (first + n)]
+                out = amplitude[channel, k, 2 * at : 2 * (at + n)]
                 for j in range(n):
                     out[2 * j] = real[j] * unit
                     out[2 * j + 1] = -imag[j] * unit

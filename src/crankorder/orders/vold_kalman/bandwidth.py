@@ -42,6 +42,8 @@ LEAST_LEFT = 0.3
 INDEPENDENT = 0.55
 """Degrees of freedom, as a share of twice the bins: neighbours share a Hann window, and a quarter is left out."""
 
+LEVEL_DOF = 4.0 * INDEPENDENT * (FLANK[1] - FLANK[0]) * FRAME_BANDWIDTHS
+"""Degrees of freedom of the level of one frame."""
 
 DEGREE = 5
 """Of the envelopes between knots. Those of a filter of n poles have 2n - 2 smooth derivatives."""
@@ -76,15 +78,6 @@ def noise_bandwidth_share(poles: int) -> float:
     power = 2.0 * poles
     shape = (1.0 - 1.0 / power) * (math.pi / power) / math.sin(math.pi / power)
     return float(HALF_POWER ** (-1.0 / power) * shape)
-
-
-def noise_correlation(lag_bandwidths: Floats, poles: int) -> Floats:
-    """Correlation of the filter's noise at two times, ``lag_bandwidths`` (any shape) reciprocal bandwidths apart.
-
-    The cosine transform of |gain|², ``poles`` as of the filter: lines that far apart share their error.
-    """
-    grid, table = _correlation_table(poles)
-    return np.asarray(np.interp(np.abs(lag_bandwidths), grid, table))
 
 
 def impulse_response(lag_bandwidths: Floats, poles: int) -> Floats:
@@ -132,26 +125,15 @@ def _response_table(poles: int) -> tuple[Floats, Floats]:
     return grid, np.asarray(np.cos(np.pi * np.outer(grid, x)) @ gain) * float(x[1])
 
 
-@functools.cache
-def _correlation_table(poles: int) -> tuple[Floats, Floats]:
-    """Lags in reciprocal bandwidths, and the correlation there."""
-    x = np.linspace(0.0, 8.0, 801)
-    power = 1.0 / (1.0 + HALF_POWER * x ** (2 * poles)) ** 2
-    grid = np.linspace(0.0, FARTHEST_LAG, 513)
-    table = np.cos(np.pi * np.outer(grid, x)) @ power / power.sum()
-    table[-1] = 0.0
-    return grid, table
-
-
 def local_level(
-    sums: Complexes, weight: Floats, others: Floats, *, sums_per_bandwidth: float, poles: int, correlation: Floats
+    sums: Complexes, weight: Floats, others: Floats, *, sums_per_bandwidth: float, poles: int
 ) -> tuple[Floats, Floats]:
     """Variance of the white noise that would be as strong as the residual beside one order, by frame.
 
     ``sums`` (channels, places) of the residual turned back by the order's phase, whose mean square is ``weight``
     (places,) times that variance; ``others`` (other orders, places) their distance from this order in cycles per
     place; ``sums_per_bandwidth`` of them in the time 1/bandwidth; ``poles`` of the filter, whose gain is missing from
-    the residual; ``correlation`` (lags,) of neighbouring sums in white noise, one at lag 0. Returns the middle of each
+    the residual. Returns the middle of each
     frame in places (frames,) and the variance (channels, frames), enlarged as Student's distribution asks for so few
     bins.
     """
@@ -165,8 +147,8 @@ def local_level(
     spectrum = np.fft.fft(sliding_window_view(turned, length, axis=1)[:, starts] * window, axis=2)[:, :, bins]
     left = _left_by_filters(bins / length, others, starts, length, sums_per_bandwidth, poles)
     # power of white noise in the sums at each offset [cycles per place]
-    lags = np.arange(1, len(correlation))
-    white = correlation[0] + 2.0 * np.cos(2.0 * np.pi * np.outer(bins / length, lags)) @ correlation[1:]
+    lags = np.arange(1, len(SPLINE_CORRELATION))
+    white = 1.0 + 2.0 * np.cos(2.0 * np.pi * np.outer(bins / length, lags)) @ SPLINE_CORRELATION[1:]
     power = np.abs(spectrum) ** 2 / (white * left)
     free = left >= np.minimum(LEAST_LEFT, np.sort(left, axis=1)[:, -min(FEWEST_BINS, len(bins)), None])
     usable = held > 0.5 * held.max()
@@ -215,12 +197,6 @@ def _level(power: Floats, free: Bools) -> Floats:
 def student_factor(dof: Floats) -> Floats:
     """What Student's t asks for at 95 % over a normal distribution, by degrees of freedom ``dof`` (any shape)."""
     return np.asarray(1.0 + 1.21 / dof)
-
-
-def level_dof(bandwidths: float) -> float:
-    """Degrees of freedom of the level of one frame, in a record ``bandwidths`` reciprocal bandwidths long."""
-    flank = min(FRAME_BANDWIDTHS, bandwidths)
-    return 4.0 * INDEPENDENT * max(1.0 + LEAST_BINS[1], (FLANK[1] - FLANK[0]) * flank)
 
 
 def _expected(kept: Ints, count: Ints) -> Floats:

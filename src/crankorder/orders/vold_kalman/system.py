@@ -1,4 +1,4 @@
-"""Envelopes of orders as splines: the Vold-Kalman equations taken in by blocks, solved, and read by blocks."""
+"""Envelopes of orders as splines: the Vold-Kalman equations of one record, solved and read at each sample."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from crankorder.errors import RequestError
 from crankorder.orders.vold_kalman.banded import add_moments, evaluate, factorise, inverse_band, product, solve
 from crankorder.orders.vold_kalman.bandwidth import (
     DEGREE,
@@ -36,6 +35,9 @@ REFINEMENTS = 3
 
 ENOUGH = 1e-10
 """Relative size of a step of refinement after which the next one would be below rounding."""
+
+LEAST_SPACING = 2.0
+"""Samples between knots at least, however wide the band: below, the equations are no longer definite."""
 
 LEAST_CONSTANT = 1e-6
 """Share of a constant that the orders must leave unexplained for it to be told from them."""
@@ -200,7 +202,7 @@ def solve_short(
 
     ``data_band`` (n, width + 1) the data's weight, ``forms`` (intervals, splines, splines) and ``weight`` (intervals,
     orders) the structural equation on last derivatives, ``slopes`` as of ``difference_slopes``, ``wanted`` (columns,
-    splines, rows) the right-hand sides. Raises RequestError where the equations are not definite.
+    splines, rows) the right-hand sides. Raises LinAlgError where the equations are not definite.
     """
     n_splines, rows = wanted.shape[1:]
     turn = np.kron(integration(slopes, n_splines), np.eye(rows))
@@ -212,10 +214,7 @@ def solve_short(
             at = (poles + i + np.arange(near)) * rows + row
             matrix[np.ix_(at, at)] += weight[i, row % weight.shape[1]] * forms[i]
     scale = 1.0 / np.sqrt(np.diag(matrix))
-    try:
-        factor = np.linalg.cholesky(matrix * np.outer(scale, scale))
-    except np.linalg.LinAlgError as error:
-        raise RequestError("the normal equations are not definite", remedy="two of the orders move together") from error
+    factor = np.linalg.cholesky(matrix * np.outer(scale, scale))
     inverse = np.linalg.solve(factor, np.diag(scale))
     sides = turn.T @ wanted.reshape(len(wanted), -1).T
     found = inverse.T @ (inverse @ sides)
@@ -233,6 +232,14 @@ def _dense(band: Floats) -> Floats:
     return found + np.tril(found, -1).T
 
 
+def _scales(signals: NDArray[np.floating], usable: Bools) -> Floats:
+    """Powers of two (channels,) that bring signals near one: squares then neither overflow nor vanish."""
+    whole = bool(usable.all())
+    known = [row if whole else row[usable] for row in signals]
+    largest = np.array([max(float(row.max()), -float(row.min())) for row in known])
+    return np.asarray(np.ldexp(1.0, np.clip(-np.frexp(largest)[1], -1000, 1000)))
+
+
 @dataclass(frozen=True)
 class Solution:
     """Envelopes of all channels: ``pieces`` (intervals, channels, rows, powers of u), ``offset`` (channels,) the
@@ -244,37 +251,34 @@ class Solution:
 
 
 class EnvelopeSystem:
-    """Vold-Kalman equations of one record: ``add`` every block in turn, ``solve``, then ``read`` every block.
-
-    Memory grows with the number of knots, that is with bandwidth times length, not with the samples.
-    """
+    """Vold-Kalman equations of one record, whose memory grows with bandwidth times length: ``solve``, then ``read``."""
 
     def __init__(
         self,
+        signals: NDArray[np.floating],
+        phase_rev: Floats,
+        usable: Bools,
         *,
-        n_samples: int,
-        n_channels: int,
         bandwidth_hz: Floats,
         rate_hz: float,
         poles: int,
-        scale: Floats | None = None,
         knots_per_bandwidth: int | None = None,
     ) -> None:
-        """The equations without data.
+        """The equations of ``signals`` (channels, samples) at ``rate_hz``, where they are ``usable`` (samples,).
 
-        ``n_samples`` of the record at ``rate_hz``, ``n_channels``; ``bandwidth_hz`` (orders, points), the points even
-        across the record with the first at its beginning and the last at its end; ``poles`` of the filter; ``scale``
-        (channels,) by which signals are multiplied inside, powers of two that bring them near one;
-        ``knots_per_bandwidth`` as of ``KNOTS_PER_BANDWIDTH``, which holds without it.
+        ``phase_rev`` (orders, samples); ``bandwidth_hz`` (orders, points), the points even across the record with the
+        first at its beginning and the last at its end; ``poles`` of the filter; ``knots_per_bandwidth`` as of
+        ``KNOTS_PER_BANDWIDTH``, which holds without it.
         """
-        self.poles, self.n_orders = poles, len(bandwidth_hz)
-        self.scale = np.ones(n_channels) if scale is None else scale
+        self.signals, self.phase_rev, self.usable, self.poles = signals, phase_rev, usable, poles
+        n_channels, n_samples = signals.shape
+        self.scale = _scales(signals, usable)
         density = knots_per_bandwidth or KNOTS_PER_BANDWIDTH[poles - 1]
-        spacing = rate_hz / (density * bandwidth_hz.max(axis=0))
+        spacing = np.maximum(rate_hz / (density * bandwidth_hz.max(axis=0)), LEAST_SPACING)
         self.knots = place_knots(spacing, n_samples, fewest=FEWEST_INTERVALS)
         places_hz = rate_hz * self.knots.intervals / n_samples
         self.sums_per_bandwidth = places_hz / np.median(bandwidth_hz, axis=1)
-        intervals, rows = self.knots.intervals, 2 * self.n_orders
+        intervals, rows = self.knots.intervals, 2 * len(phase_rev)
         middle = 0.5 * (self.knots.starts[1:] + self.knots.starts[:-1])
         points = np.linspace(0.0, n_samples, bandwidth_hz.shape[1])
         at_knots = np.array([np.interp(middle, points, of_order) for of_order in bandwidth_hz])
@@ -289,29 +293,16 @@ class EnvelopeSystem:
         self.data = np.zeros((intervals, n_channels + 1, rows, DEGREE + 1))
         self.residual_data = np.zeros((intervals, n_channels, rows, DEGREE + 1))
         self.totals = np.zeros(n_channels + 1)
-        self.knot_phase_rev = np.zeros((self.n_orders, intervals + 1))
         self.data_band = np.empty((0, 0))
-
-    def add(self, signals: NDArray[np.floating], phase_rev: Floats, usable: Bools, *, begin: int) -> None:
-        """Take in the samples from number ``begin`` on.
-
-        ``signals`` (channels, samples), ``phase_rev`` (orders, samples), ``usable`` (samples,); blocks in any order,
-        each once.
-        """
         starts = self.knots.starts
-        end = begin + phase_rev.shape[1]
-        inside = np.flatnonzero((starts >= begin) & (starts < end))
-        self.knot_phase_rev[:, inside] = phase_rev[:, starts[inside] - begin]
-        if end == starts[-1]:
-            self.knot_phase_rev[:, -1] = 2.0 * phase_rev[:, -1] - phase_rev[:, -2]
-        add_moments(signals, self.scale, phase_rev, usable, begin, starts, self.gram, self.data, self.totals)
+        add_moments(signals, self.scale, phase_rev, usable, starts, self.gram, self.data, self.totals)
 
     def solve(self) -> Solution:
         """Envelopes of all channels, jointly over orders.
 
-        Raises RequestError where orders cannot be told apart to working precision.
+        Raises LinAlgError where orders cannot be told apart to working precision.
         """
-        n_splines, rows = self.knots.intervals + DEGREE, 2 * self.n_orders
+        n_splines, rows = self.knots.intervals + DEGREE, 2 * len(self.phase_rev)
         self.data_band = np.zeros((n_splines * rows, rows * (DEGREE + 1)))
         assemble_gram(self.gram, spline_products(self.splines), self.kind, self.data_band)
         wanted = np.zeros((self.data.shape[1], n_splines, rows))
@@ -342,13 +333,8 @@ class EnvelopeSystem:
         """
         factor = self.data_band.copy()
         assemble_roughness(self.stiffness, self.kind, self.weight, factor)
-        failed = factorise(factor)
-        if failed >= 0:
-            raise RequestError(
-                "the normal equations are not definite",
-                found=f"coefficient {failed} of {len(factor)}",
-                remedy="two of the orders move together, or the usable samples do not determine them",
-            )
+        if factorise(factor) >= 0:
+            raise np.linalg.LinAlgError("the normal equations are not definite")
         values = wanted.copy()
         solve(factor, values.reshape(len(values), -1))
         last = np.inf
@@ -366,24 +352,23 @@ class EnvelopeSystem:
             last = change
         return values, inverse_band(factor) * (1.0 - 0.5 / self.poles)
 
-    def read(
-        self, solution: Solution, signals: NDArray[np.floating], phase_rev: Floats, usable: Bools, *, begin: int
-    ) -> tuple[Complexes, Floats]:
-        """Amplitudes (channels, orders, samples) and residual (channels, samples) of the samples from ``begin`` on.
+    def read(self, solution: Solution) -> tuple[Complexes, Floats]:
+        """Amplitudes (channels, orders, samples) and residual (channels, samples) of the ``solution`` of ``solve``.
 
-        ``solution`` of ``solve``; ``signals``, ``phase_rev`` and ``usable`` as in ``add``. The residual is noted for
-        the standard errors, thus each block is to be read once.
+        The residual is noted for the standard errors, thus it is to be read once.
         """
-        n = signals.shape[1]
-        amplitude = np.empty((len(self.scale), self.n_orders, 2 * n))
-        residual = np.empty((len(self.scale), n))
-        where = (phase_rev, usable, begin, self.knots.starts, solution.pieces)
-        evaluate(signals, self.scale, solution.offset, *where, amplitude, residual, self.residual_data)
+        n_channels, n = self.signals.shape
+        amplitude = np.empty((n_channels, len(self.phase_rev), 2 * n))
+        residual = np.empty((n_channels, n))
+        where = (self.phase_rev, self.usable, self.knots.starts, solution.pieces)
+        evaluate(self.signals, self.scale, solution.offset, *where, amplitude, residual, self.residual_data)
         return amplitude.view(np.complex128), residual
 
     def distances(self, order: int) -> Floats:
         """Distance of the other orders from number ``order`` (others, splines), in cycles per spline."""
-        apart = np.diff(self.knot_phase_rev - self.knot_phase_rev[order], axis=1)
+        inner = self.phase_rev[:, self.knots.starts[:-1]]
+        at_knots = np.column_stack([inner, 2.0 * self.phase_rev[:, -1] - self.phase_rev[:, -2]])
+        apart = np.diff(at_knots - at_knots[order], axis=1)
         extra = (DEGREE - DEGREE // 2, DEGREE // 2)
         return np.pad(np.delete(apart, order, axis=0), ((0, 0), extra), mode="edge")
 
@@ -393,10 +378,9 @@ class EnvelopeSystem:
         The sums are of residual · spline · exp(-2πi phase); for white noise of variance s² their mean square is s²
         times the weight (orders, splines).
         """
-        rows, n_splines = 2 * self.n_orders, self.knots.intervals + DEGREE
-        values = np.zeros((len(self.scale), n_splines, rows))
+        k, n_splines = len(self.phase_rev), self.knots.intervals + DEGREE
+        values = np.zeros((len(self.scale), n_splines, 2 * k))
         gather(self.residual_data, self.splines, self.kind, values)
-        weight = self.data_band[:, -1].reshape(n_splines, rows)
-        k = self.n_orders
+        weight = self.data_band[:, -1].reshape(n_splines, 2 * k)
         sums = (values[:, :, :k] - 1j * values[:, :, k:]).transpose(0, 2, 1)
         return sums, (weight[:, :k] + weight[:, k:]).T

@@ -12,8 +12,8 @@ from crankorder.engine.balance_sheet import POSSIBILITIES, STRATEGIES, BalanceSh
 from crankorder.engine.balancing import OrderForce, balanced, force_by_order, polar_diagram, unbalance_force_n
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_moments
-from crankorder.engine.shaft_design import MOMENT_AXES, ONE_RADIAN_PER_S_RPM, designs_for, whole_force, whole_moments
-from crankorder.engine.shafts import shaft_layout
+from crankorder.engine.shaft_design import MOMENT_AXES, designs_for, whole_force, whole_moments
+from crankorder.engine.shafts import ONE_RADIAN_PER_S_RPM, shaft_layout
 from crankorder.quantities import Complexes, Floats
 
 Forces = tuple[OrderForce, ...]

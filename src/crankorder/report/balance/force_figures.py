@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
+from crankorder.plot.painter import axes_at, house_style, log_axis, new_figure, note, quiet_frame, title_lines, write
 from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable
 from crankorder.plot.reading import number_text, order_text
-from crankorder.plot.style import axes_at, house_style, log_axis, new_figure, note, quiet_frame, title_lines, write
 from crankorder.quantities import Complexes, Floats
 from crankorder.report.balance.dataset import SYSTEMS, order_sum
 from crankorder.report.balance.look import (
@@ -63,7 +63,7 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
 
 def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, balance: xr.Dataset) -> None:
     """Two panels of force against crank angle, along and across, with one scale; equal curves share a label."""
-    groups = alike(curves)
+    groups, (along, _) = alike(curves), row
     limit = 1.08 * float(np.abs(curves.values).max()) or 1.0
     angle = 360 * curves["crank_angle"].values
     for axis, name, box in zip("xy", axis_names(balance), row, strict=True):
@@ -81,7 +81,7 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
             names = f"nothing: {called(zero, balance)}" if len(groups) > 1 else "nothing"
             note(axes, names, (0.99, 0.03), ha="right", va="bottom", fontsize=SMALL)
     if curves.sizes["system"] > 1:
-        color_key(figure, row[0], [(called(members, balance), system_color(members[0])) for members in groups])
+        color_key(figure, along, [(called(members, balance), system_color(members[0])) for members in groups])
 
 
 def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: float) -> None:

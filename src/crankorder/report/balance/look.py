@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from crankorder.plot.drawing import Box as Box
+from crankorder.plot.painter import axes_at, quiet_frame, write
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, text_width_in
 from crankorder.plot.reading import listed
-from crankorder.plot.style import axes_at, quiet_frame, write
 from crankorder.report.balance.dataset import PLAIN, SYSTEMS
 
 COUNTERWEIGHTS = ("none", "a", "b", "c", "d")
@@ -130,10 +130,10 @@ def color_key(figure: Figure, box: Box, entries: list[tuple[str, str]]) -> None:
 
     ``figure`` to draw on; ``box`` of the panel in inches (left, bottom, width, height); ``entries`` text and colour.
     """
+    left, bottom, width, height = box
     widths = [text_width_in(text, _KEY_SIZE) * _BOLD + 0.16 for text, _ in entries]
-    shrink = min(1.0, box[2] / max(sum(widths), 1e-9))
-    place = box[0]
-    for (text, color), width in zip(entries, widths, strict=True):
-        write(figure, place, box[1] + box[3] + 0.06, text, color=color, fontsize=_KEY_SIZE * shrink, fontweight="bold",
-              va="bottom")  # fmt: skip
-        place += width * shrink
+    shrink = min(1.0, width / max(sum(widths), 1e-9))
+    look = {"fontsize": _KEY_SIZE * shrink, "fontweight": "bold", "va": "bottom"}
+    for (text, color), wide in zip(entries, widths, strict=True):
+        write(figure, left, bottom + height + 0.06, text, color=color, **look)
+        left += wide * shrink

@@ -1,17 +1,113 @@
-"""The balance of an engine, or of one with elastic hinges, as plain text: tables, then what remains in sentences."""
+"""The balance of an engine, or of one with elastic hinges, as plain text: tables, then what remains in sentences.
+
+Tables and paragraphs of plain text for a terminal are aligned, and never wider than a page of it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import textwrap
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-from crankorder.engine.balance_data import Amounts
+from crankorder.engine.balance_data import Amounts, newton
 from crankorder.engine.balance_sheet import BalanceSheet, OwnShafts, ShaftSet
-from crankorder.engine.balancing import unbalance_force_n
 from crankorder.engine.crankshaft import CrankshaftSums
 from crankorder.engine.hinge_sheet import HingeSheet, Mechanism
 from crankorder.engine.shaft_design import ByAxis, DesignLayout
 from crankorder.errors import printable
-from crankorder.report.text_table import WIDTH, Cell, closing, short_number, text_table
+from crankorder.plot.reading import number_text
+
+WIDTH = 100
+"""Columns of the widest line."""
+
+DIGITS = 5
+"""Significant digits of a number in a table: what a scale or a drawing can give."""
+
+MISSING = "–"
+_GAP, _INDENT, _LONGEST_CELL = "  ", "  ", 44
+
+Cell = float | str | None
+
+
+def paragraph(text: str, *, bullet: str = "") -> list[str]:
+    """Lines of ``text``, folded at the width of the page; from the second on they stand under the ``bullet``'s text."""
+    return textwrap.wrap(
+        printable(text, 4000), WIDTH, initial_indent=bullet, subsequent_indent=" " * len(bullet), break_on_hyphens=False
+    )
+
+
+def text_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], *, kept: int = 1) -> list[str]:
+    """Lines of a table, none where it has no rows: title, heads, rows; numbers stand with their points in one column.
+
+    ``title`` over the table. ``heads`` of the columns, units in them. ``rows`` of numbers, texts and None, which is
+    shown as a dash; rows and columns of None alone are left out. ``kept`` first columns that name a row: where the
+    table is wider than the page they are repeated, with the other columns below one another.
+    """
+    filled = [list(row) for row in rows if any(cell is not None for cell in row[kept:])]
+    if not filled:
+        return []
+    used = [n for n in range(len(heads)) if n < kept or any(row[n] is not None for row in filled)]
+    columns = [_column(heads[n], [row[n] for row in filled]) for n in used]
+    names, values = columns[:kept], columns[kept:]
+    lines = paragraph(title)
+    room = WIDTH - len(_INDENT) - sum(len(column[0]) + len(_GAP) for column in names)
+    for block in _blocks(values, room):
+        lines += [(_INDENT + _GAP.join(cells)).rstrip() for cells in zip(*names, *block, strict=True)]
+    return [*lines, ""]
+
+
+def _column(head: str, cells: Sequence[Cell]) -> list[str]:
+    """Head and cells of a column, all of one width: texts from the left, numbers by their points."""
+    texts = [MISSING if cell is None else _cell_text(cell) for cell in cells]
+    if all(isinstance(cell, str) for cell in cells):
+        width = max(len(head), *map(len, texts))
+        return [text.ljust(width) for text in (head, *texts)]
+    pairs = list(zip(texts, cells, strict=True))
+    most = max(_after_point(text) for text, cell in pairs if not isinstance(cell, str))
+    lined = [text if isinstance(cell, str) else text + " " * (most - _after_point(text)) for text, cell in pairs]
+    width = max(len(head), *map(len, lined))
+    return [text.rjust(width) for text in (head, *lined)]
+
+
+def _cell_text(cell: float | str) -> str:
+    return printable(cell, _LONGEST_CELL) if isinstance(cell, str) else short_number(float(cell))
+
+
+def short_number(value: float, *, digits: int = DIGITS) -> str:
+    """``value`` to at most ``digits`` significant digits, without the zeros that end it."""
+    text = number_text(value, digits=digits)
+    return text if "." not in text or "e" in text else text.rstrip("0").rstrip(".")
+
+
+def _after_point(text: str) -> int:
+    """Characters from the point on."""
+    return len(text) - text.index(".") if "." in text else 0
+
+
+def _blocks(columns: Sequence[list[str]], room: int) -> list[list[list[str]]]:
+    """Columns in groups that each fit into ``room`` characters, in order."""
+    blocks: list[list[list[str]]] = []
+    used = room + 1
+    for column in columns:
+        width = len(column[0]) + len(_GAP)
+        if used + width > room + len(_GAP) or not blocks:
+            blocks.append([])
+            used = 0
+        blocks[-1].append(column)
+        used += width
+    return blocks
+
+
+def closing(head: str, sentences: Iterable[str], notes: Collection[str]) -> list[str]:
+    """Lines with ``sentences`` under ``head``, then ``notes`` where there are any."""
+    lines = [head]
+    for sentence in sentences:
+        lines += paragraph(sentence, bullet="  * ")
+    if notes:
+        lines += ["", "Notes"]
+    for note in notes:
+        lines += paragraph(note, bullet="  * ")
+    return lines
+
 
 Row = Sequence[Cell]
 Cause = tuple[str, str, str, float, str | None]
@@ -71,7 +167,7 @@ def balance_text(sheet: BalanceSheet) -> str:
     speeds = list(sheet.force_n)
     heads = ["What remains", "axis", "order", "g·mm", *(f"N at {speed} rpm" for speed in speeds), "class"]
     rows: list[Row] = [
-        [cause, axis, order, amount, *(_newton(amount, speed) for speed in speeds), grade]
+        [cause, axis, order, amount, *(newton(amount, float(speed)) for speed in speeds), grade]
         for cause, axis, order, amount, grade in _single_causes(sheet)
     ]
     lines += text_table("Residuals of single causes", heads, rows, kept=3)
@@ -102,7 +198,7 @@ def _forces(sheet: BalanceSheet) -> list[str]:
     for axis, name in _axes_of(sheet):
         amounts, own = force[axis] or {}, axis == "x"
         for order in (order for order in orders if order in amounts):
-            at_speeds = [_newton(amounts[order], speed) for speed in sheet.force_n]
+            at_speeds = [newton(amounts[order], float(speed)) for speed in sheet.force_n]
             share = sheet.harmonics.get(order) if own else None
             rows.append([order, name, share, amounts[order], leading.get(order) if own else None, *at_speeds])
     title = f"Force by order {sheet.plain_state} (amplitude; g·mm: over ω²; leading: slider alone, first term)"
@@ -118,7 +214,7 @@ def _moments(sheet: BalanceSheet) -> list[str]:
     moments, speeds = sheet.moment_g_mm2, list(sheet.force_n)
     heads = ["order", "axis", "g·mm²", *(f"N·m at {speed} rpm" for speed in speeds)]
     rows: list[Row] = [
-        [order, text, amounts[order], *(1e-3 * _newton(amounts[order], speed) for speed in speeds)]
+        [order, text, amounts[order], *(1e-3 * newton(amounts[order], float(speed)) for speed in speeds)]
         for key, text in _MOMENTS.items()
         for amounts in (moments[key] or {},)
         for order in shown_orders(moments.values())
@@ -126,10 +222,6 @@ def _moments(sheet: BalanceSheet) -> list[str]:
     ]
     title = "Moments by order (Z: cylinders or middle of their banks, Y: crankshaft, X: across both)"
     return text_table(title, heads, rows, kept=2)
-
-
-def _newton(amount: float, speed: str) -> float:
-    return float(unbalance_force_n(amount, float(speed)))
 
 
 def _strategies(sheet: BalanceSheet) -> list[str]:
@@ -144,7 +236,7 @@ def _strategies(sheet: BalanceSheet) -> list[str]:
         {order: amount for order, amount in plain["x"].items() if order != "1"},
         *(strategy.higher_orders_x_g_mm or {} for strategy in every),
     ]
-    couples = [strategy.couple_g_mm2 and 1e-3 * _newton(strategy.couple_g_mm2, speed) for strategy in every]
+    couples = [strategy.couple_g_mm2 and 1e-3 * newton(strategy.couple_g_mm2, float(speed)) for strategy in every]
     rows: list[Row] = [
         ["counterweight on the crank, g", None, *(strategy.counterweight_g for strategy in every)],
         ["… on from opposite to the pin, °", None, *(strategy.counterweight_deg for strategy in every)],
@@ -152,8 +244,8 @@ def _strategies(sheet: BalanceSheet) -> list[str]:
         ["counterweights in all, g", None, *(strategy.total_g for strategy in every)],
         ["order 1 along, g·mm", *along],
         ["order 1 across, g·mm", *across],
-        [f"order 1 along, N at {speed} rpm", *(_newton(amount, speed) for amount in along)],
-        [f"order 1 across, N at {speed} rpm", *(_newton(amount, speed) for amount in across)],
+        [f"order 1 along, N at {speed} rpm", *(newton(amount, float(speed)) for amount in along)],
+        [f"order 1 across, N at {speed} rpm", *(newton(amount, float(speed)) for amount in across)],
     ]
     rows += [[f"order {order} along, g·mm", *_at(order, higher)] for order in shown_orders(higher)[:4]]
     rows.append([f"couple at most, N·m at {speed} rpm", None, *couples])

@@ -107,18 +107,13 @@ def _unbalance(comparison: Comparison, short: Shorten) -> Table:
 def _masses(comparison: Comparison, short: Shorten) -> Table:
     rows = [
         [
-            short(mass.channel), f"{number_text(mass.added)} {mass.unit}",
-            estimate_text(mass, "before", unit=mass.unit), number_text(mass.before_angle_deg),
-            estimate_text(mass, "after", unit=mass.unit), number_text(mass.after_angle_deg),
-            number_text(per.speed_rpm, digits=4), estimate_text(per, "response"),
-            f"{unit_text(mass.response_unit)} per {mass.unit}",
+            short(of.channel), number_text(of.speed_rpm, digits=4), number_text(of.response_per_unit),
+            number_text(of.phase_deg),
         ]
-        for mass in comparison.masses
-        for per in mass.response_per_unit
+        for of in (comparison.trial_mass.influence if comparison.trial_mass else ())
     ]  # fmt: skip
-    heads = "Channel|Put on#|Unbalance before#|at, °#|Unbalance after#|at, °#|Speed, rpm#|Response#|Unit"
-    note = "From the mass that the manifests state. Angles from where it was put, turning with the crank."
-    return table_of("Masses", heads, rows, note=note)
+    note = "Response to one g (on a piston) or g·mm (on the crank) of the mass that the manifests state."
+    return table_of("Influence of the added mass", "Channel|Speed, rpm#|Response#|Phase, °#", rows, note=note)
 
 
 def _balance(comparison: Comparison, _: Shorten) -> Table:

@@ -16,7 +16,7 @@ from crankorder.comparison import (
     Trend,
     UnbalanceRecord,
 )
-from crankorder.identify.changes.run_trends import TREND_NUMBERS as TREND
+from crankorder.identify.changes.order_changes import TREND_NUMBERS as TREND
 from crankorder.plot.reading import (
     at_speed,
     estimate_text,
@@ -92,7 +92,7 @@ def comparison_story(comparison: Comparison) -> Story:
         what=[*_order_sentences(comparison), *_mode_sentences(comparison), *_growth_sentences(comparison)],
         why=[
             *_cause_sentences(comparison), *_law_sentences(comparison), *mass_sentences(comparison),
-            *_influence(comparison), *_balance(comparison),
+            *_untold_mass(comparison), *_balance(comparison),
         ],
         how_sure=_how_sure(comparison),
         what_to_do=_what_to_do(comparison),
@@ -295,15 +295,13 @@ def _law_sentences(comparison: Comparison) -> list[str]:
 
 
 def mass_sentences(comparison: Comparison) -> list[str]:
-    """Unbalance before and after a stated change of mass, from a ``comparison``: of all channels, else of each."""
-    trial, masses = comparison.trial_mass, comparison.masses
-    if trial is None or not is_number(trial.residual_after_gmm):
-        return [
-            f"By the stated {number_text(mass.added)} {mass.unit} the unbalance in {short(mass.channel)} was "
-            f"{estimate_text(mass, 'before', unit=mass.unit)} before and is "
-            f"{estimate_text(mass, 'after', unit=mass.unit)} now."
-            for mass in masses[:_MANY]
-        ]
+    """Unbalance before and after a stated change of mass, from a ``comparison``; none where that tells no residual."""
+    trial = comparison.trial_mass
+    if trial is None:
+        return []
+    if not is_number(trial.residual_after_gmm):
+        before, after = (estimate_text(trial, key, unit="g") for key in ("along_g", "along_after_g"))
+        return [f"The residual along the cylinder was {before} before and is {after} now, by the stated mass."]
     # grams where all stated masses sit at one radius
     per_gmm, unit = (1.0 / trial.radius_mm, "g") if trial.radius_mm else (1.0, "g·mm")
     before, after = (
@@ -312,19 +310,12 @@ def mass_sentences(comparison: Comparison) -> list[str]:
             ("residual_rotating_gmm", trial.angle_deg), ("residual_after_gmm", trial.angle_after_deg)
         )
     )  # fmt: skip
-    stated = f", by the stated {number_text(masses[0].added)} {unit}" if masses else ""
-    return [f"The unbalance was {before} before and is {after} now{stated}."]
+    return [f"The unbalance was {before} before and is {after} now, by the stated mass."]
 
 
-def _influence(comparison: Comparison) -> list[str]:
-    sentences = []
-    for mass in comparison.masses[:_MANY]:
-        last = mass.response_per_unit[-1]
-        response = f"{estimate_text(last, 'response')} {unit_text(mass.response_unit)}{at_speed(last.speed_rpm)}"
-        sentences.append(f"One {mass.unit} there makes {response} in {short(mass.channel)}.")
-    if comparison.trial_mass_reason:
-        sentences.append(f"The stated change of mass tells no residual: {comparison.trial_mass_reason}.")
-    return sentences
+def _untold_mass(comparison: Comparison) -> list[str]:
+    reason = comparison.trial_mass_reason
+    return [f"The stated change of mass tells no residual: {reason}."] if reason else []
 
 
 def _balance(comparison: Comparison) -> list[str]:

@@ -19,13 +19,14 @@ from crankorder.findings import (
     MotorSpeed,
     OrderFinding,
 )
-from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order, strongest_tone
 from crankorder.plot.reading import (
     NAME_CHARACTERS,
     at_one_speed,
     at_speed,
     estimate_text,
+    fixed_tones,
     frequency_text,
+    hertz_of_order,
     interval_of,
     is_in_doubt,
     is_number,
@@ -42,10 +43,11 @@ from crankorder.plot.reading import (
     percent_text,
     short,
     strongest_by,
+    strongest_tone,
     unit_of,
 )
 from crankorder.records import known
-from crankorder.report.sentences.of_levels import above_sentence, look_above
+from crankorder.report.sentences.of_speeds import above_sentence, look_above
 
 LIKE_UNBALANCE = "unbalance, bent shaft or misalignment"
 """Cause of an order 1 of which nothing tells what it is."""

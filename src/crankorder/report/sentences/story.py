@@ -9,12 +9,13 @@ from collections import Counter
 from typing import Literal, TypedDict
 
 from crankorder.findings import Balance, Findings, OrderFinding
-from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order
 from crankorder.plot.reading import (
     NAME_CHARACTERS,
     at_one_speed,
     estimate_text,
+    fixed_tones,
     frequency_text,
+    hertz_of_order,
     interval_of,
     is_in_doubt,
     is_number,
@@ -28,7 +29,6 @@ from crankorder.plot.reading import (
     strongest_by,
 )
 from crankorder.quantities import WHICH_IS_RIGHT
-from crankorder.report.sentences.of_levels import level_sentences, limit_sentences, share_sentences, undecided_limits
 from crankorder.report.sentences.of_lines import (
     LIKE_UNBALANCE,
     RE_RUN_RULE,
@@ -49,8 +49,12 @@ from crankorder.report.sentences.of_speeds import (
     avoid_sentences,
     doubt_sentences,
     free_sentences,
+    level_sentences,
+    limit_sentences,
     shaft_sentences,
+    share_sentences,
     swing_sentences,
+    undecided_limits,
 )
 
 ALL_CLEAR = (

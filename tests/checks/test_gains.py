@@ -5,13 +5,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from crankorder.orders.level_jumps import RecordedLevel, level_jumps
+from crankorder.checks.gains import RecordedLevel, level_jumps
 from crankorder.quantities import WHICH_IS_RIGHT
 
 NAMES = ("X", "Y", "Z")
 
 
-def recordings(rng: np.random.Generator, n_speeds: int = 6, n_each: int = 3) -> list[RecordedLevel]:
+def recordings(rng, n_speeds=6, n_each=3):
     made = []
     for speed in 500.0 * 1.1 ** np.arange(n_speeds):
         level = rng.lognormal(0.0, 1.0, 3)
@@ -21,7 +21,7 @@ def recordings(rng: np.random.Generator, n_speeds: int = 6, n_each: int = 3) -> 
     return made
 
 
-def test_a_changed_gain_is_named_with_its_factor() -> None:
+def test_a_changed_gain_is_named_with_its_factor():
     for seed, factor in product(range(20), (10.0, 0.1, 6.0)):
         rng = np.random.default_rng(seed)
         levels = recordings(rng)
@@ -33,7 +33,7 @@ def test_a_changed_gain_is_named_with_its_factor() -> None:
         assert told == pytest.approx(factor, rel=0.6)
 
 
-def test_where_no_majority_agrees_all_are_left_out_and_that_is_said() -> None:
+def test_where_no_majority_agrees_all_are_left_out_and_that_is_said():
     levels = recordings(np.random.default_rng(3), n_speeds=1, n_each=4)
     for one in levels[:2]:
         one.rms["Z"] *= 10.0
@@ -42,7 +42,7 @@ def test_where_no_majority_agrees_all_are_left_out_and_that_is_said() -> None:
     assert all(flag["left_out"] == "channel" and WHICH_IS_RIGHT in flag["detail"] for flag in flags)
 
 
-def test_of_two_alike_those_next_in_speed_tell_which_is_wrong() -> None:
+def test_of_two_alike_those_next_in_speed_tell_which_is_wrong():
     for seed in range(10):
         rng = np.random.default_rng(seed)
         levels = recordings(rng, n_speeds=6, n_each=2)
@@ -57,7 +57,7 @@ def test_of_two_alike_those_next_in_speed_tell_which_is_wrong() -> None:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(50))
-def test_nothing_is_told_of_sound_levels_a_load_a_sweep_or_other_speeds(seed: int) -> None:
+def test_nothing_is_told_of_sound_levels_a_load_a_sweep_or_other_speeds(seed):
     rng = np.random.default_rng(seed)
     levels = recordings(rng)
     assert level_jumps(levels, ratio=3.0, proven_ratio=1.4) == []
@@ -72,7 +72,7 @@ def test_nothing_is_told_of_sound_levels_a_load_a_sweep_or_other_speeds(seed: in
     assert level_jumps(recordings(rng, n_speeds=12, n_each=1), ratio=3.0, proven_ratio=1.4) == []
 
 
-def stepped(rng: np.random.Generator, n_speeds: int = 6) -> list[RecordedLevel]:
+def stepped(rng, n_speeds=6):
     """One recording per speed: lines and modes make the level what they like, the floor grows with the speed."""
     made, first, growth = [], rng.lognormal(0.0, 1.0, 3), rng.uniform(0.0, 2.0, 3)
     for number, speed in enumerate(700.0 * 1.15 ** np.arange(n_speeds)):
@@ -86,7 +86,7 @@ def stepped(rng: np.random.Generator, n_speeds: int = 6) -> list[RecordedLevel]:
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("factor", [10.0, 0.1])
-def test_with_one_recording_per_speed_the_floor_tells_the_changed_gain(seed: int, factor: float) -> None:
+def test_with_one_recording_per_speed_the_floor_tells_the_changed_gain(seed, factor):
     rng = np.random.default_rng(seed)
     levels = stepped(rng)
     assert level_jumps(levels, ratio=3.0, proven_ratio=1.4) == []
@@ -98,7 +98,7 @@ def test_with_one_recording_per_speed_the_floor_tells_the_changed_gain(seed: int
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(10))
-def test_a_load_that_raises_all_floors_is_no_gain(seed: int) -> None:
+def test_a_load_that_raises_all_floors_is_no_gain(seed):
     rng = np.random.default_rng(seed)
     levels = stepped(rng)
     chosen = levels[rng.integers(len(levels))]
@@ -110,7 +110,7 @@ def test_a_load_that_raises_all_floors_is_no_gain(seed: int) -> None:
 BLOCKS, ORDERS = 16, 8
 
 
-def proven(rng: np.random.Generator, n_channels: int = 3, n_speeds: int = 7) -> list[RecordedLevel]:
+def proven(rng, n_channels=3, n_speeds=7):
     """A machine's floors by block and orders: both grow, orders scatter from channel to channel as modes make them."""
     names = "XYZW"[:n_channels]
     shape, growth = rng.lognormal(0.0, 1.0, (n_channels, BLOCKS)), rng.uniform(0.0, 2.0)
@@ -128,18 +128,18 @@ def proven(rng: np.random.Generator, n_channels: int = 3, n_speeds: int = 7) -> 
     return made
 
 
-def with_gain(one: RecordedLevel, name: str, factor: float, *, only: tuple[str, ...] = ()) -> None:
+def with_gain(one, name, factor, *, only=()):
     for key in only or ("floor", "blocks", "lines"):
         getattr(one, key)[name] = factor * getattr(one, key)[name]
 
 
-def told(levels: list[RecordedLevel]) -> set[tuple[str, str]]:
+def told(levels):
     return {(flag["recording"], flag["channel"]) for flag in level_jumps(levels, ratio=3.0, proven_ratio=1.4)}
 
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("factor", [1.5, 2.0, 0.5])
-def test_floors_and_orders_together_prove_a_gain_that_no_level_shows(seed: int, factor: float) -> None:
+def test_floors_and_orders_together_prove_a_gain_that_no_level_shows(seed, factor):
     rng = np.random.default_rng([1, seed])
     levels = proven(rng, n_channels=int(rng.integers(2, 5)))
     assert told(levels) == set()
@@ -148,7 +148,7 @@ def test_floors_and_orders_together_prove_a_gain_that_no_level_shows(seed: int, 
     assert told(levels) == {(chosen.recording, "Y")}
 
 
-def test_of_a_gain_that_was_switched_for_good_nobody_knows_which_was_meant() -> None:
+def test_of_a_gain_that_was_switched_for_good_nobody_knows_which_was_meant():
     for seed in range(10):
         levels = proven(np.random.default_rng([2, seed]))
         for one in levels[5:]:
@@ -157,7 +157,7 @@ def test_of_a_gain_that_was_switched_for_good_nobody_knows_which_was_meant() -> 
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_what_is_no_gain_proves_none(seed: int) -> None:
+def test_what_is_no_gain_proves_none(seed):
     rng = np.random.default_rng([3, seed])
     alone = proven(rng, n_channels=1)
     with_gain(alone[3], "X", 2.0)
@@ -175,7 +175,7 @@ def test_what_is_no_gain_proves_none(seed: int) -> None:
     assert told(ringing) == set()
 
 
-def test_a_recording_in_another_unit_is_asked_about() -> None:
+def test_a_recording_in_another_unit_is_asked_about():
     for seed, (factor, said), names in product(
         range(20), [(9.80665, "g beside m/s2"), (0.1, "sensitivity"), (1e-3, "V beside mV")], (NAMES, ("X",))
     ):

@@ -7,14 +7,13 @@ to the shaft stands at its order times 1 + e, and its phase runs away in proport
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
 from crankorder.orders.averages import cycle_bins, median_beside
 from crankorder.orders.intervals import NORMAL
-from crankorder.quantities import Complexes, Floats, QualityFlag, flags_of, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, flags_of, remark
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("3-orders-recordings.toml", "clock_drift")
@@ -23,53 +22,15 @@ NOT_COMPARED = "clocks_not_compared"
 """Flag of recordings whose pulses were stamped by another device than their samples."""
 
 
-@dataclass(frozen=True)
-class Drift:
-    """How fast the clock of the pulses runs beside that of the samples [ppm], its standard error, and lines it is of.
+def clock_drift(frames: xr.Dataset) -> QualityFlag | None:
+    """Whether the clocks of pulses and samples of ``frames`` (OrderFrames) agree; None where one clock stamped both.
 
-    ``agree``: whether the lines differ by no more than their noise lets them.
-    """
-
-    ppm: float
-    error_ppm: float
-    lines: int
-    agree: bool
-
-
-def with_clock_drift(frames: xr.Dataset, *, recorded: xr.Dataset) -> xr.Dataset:
-    """OrderFrames ``frames`` with a flag that tells the drift, where pulses of ``recorded`` have a clock of their own.
-
-    ``recorded`` is the Recording that the frames are of.
-    """
-    if not any(one["flag"] == NOT_COMPARED for one in flags_of(recorded)):
-        return frames
-    drift = clock_drift(frames)
-    if drift is None or not drift.agree:
-        return frames
-    return with_flags(frames, [_flag(str(frames.attrs["recording"]), drift)])
-
-
-def _flag(recording: str, drift: Drift) -> QualityFlag:
-    half = NORMAL * drift.error_ppm
-    said = f"{drift.lines} lines of the vibration drift by {drift.ppm:.3g} ± {half:.2g} ppm of their order"
-    sure = abs(drift.ppm) > max(NUMBERS.least_sigmas * drift.error_ppm, NUMBERS.least_ppm)
-    if not sure:
-        detail = f"{said}: the clock of the pulses and that of the samples agree so far"
-        return QualityFlag(recording=recording, flag="clocks_agree", severity="info", detail=detail)
-    way = "fast" if drift.ppm > 0.0 else "slow"
-    detail = (
-        f"{said}: the clock of the pulses runs {way} beside that of the samples, or what shakes slips "
-        "against the shaft that has the pulses; phases of averages turn by it and high orders fade"
-    )
-    return QualityFlag(recording=recording, flag="clocks_differ", severity="suspect", detail=detail)
-
-
-def clock_drift(frames: xr.Dataset) -> Drift | None:
-    """Drift of the clock of the pulses by the lines of ``frames`` (OrderFrames); None where too few stand out.
-
-    Of recordings at one speed alone: in a sweep modes turn the phases of lines.
+    So where too few lines stand out, where these differ by more than their noise lets them, and where the speed is not
+    held: in a sweep modes turn the phases of lines.
     """
     speed = frames["speed"].values
+    if not any(flag["flag"] == NOT_COMPARED for flag in flags_of(frames)):
+        return None
     if np.isfinite(speed).sum() < NUMBERS.fewest_frames or bool(frames.attrs.get("swept", 0)):
         return None
     if np.nanmax(speed) > np.nanmin(speed) * (1.0 + NUMBERS.held_share):
@@ -85,26 +46,49 @@ def clock_drift(frames: xr.Dataset) -> Drift | None:
     apart = slope / order
     rest = float(np.sum(weight * apart) / np.sum(weight))
     misfit = float(np.sum(weight * np.square(apart - rest))) / (len(order) - 1)
+    if not misfit < NUMBERS.least_sigmas**2:
+        return None
     scale = math.sqrt(max(misfit, 1.0))
-    spread = 1e6 * scale / math.sqrt(float(np.sum(weight)))
-    return Drift(1e6 * (coarse + rest), spread, len(order), agree=misfit < NUMBERS.least_sigmas**2)
+    ppm, error_ppm = 1e6 * (coarse + rest), 1e6 * scale / math.sqrt(float(np.sum(weight)))
+    half = NORMAL * error_ppm
+    said = f"{len(order)} lines of the vibration drift by {ppm:.3g} ± {half:.2g} ppm of their order"
+    if not abs(ppm) > max(NUMBERS.least_sigmas * error_ppm, NUMBERS.least_ppm):
+        detail = f"{said}: the clock of the pulses and that of the samples agree so far"
+        return remark(str(frames.attrs["recording"]), "clocks_agree", detail)
+    way = "fast" if ppm > 0.0 else "slow"
+    detail = (
+        f"{said}: the clock of the pulses runs {way} beside that of the samples, or what shakes slips "
+        "against the shaft that has the pulses; phases of averages turn by it and high orders fade"
+    )
+    return remark(str(frames.attrs["recording"]), "clocks_differ", detail, "suspect")
+
+
+def standing_orders(frames: xr.Dataset) -> tuple[Ints, dict[str, tuple[Floats, Bools]]]:
+    """Bins (orders,) of the cycle's orders in OrderFrames ``frames``, and of each channel, by name, their mean power
+    (orders,) and which stand out; nothing where the bins are too few to tell.
+    """
+    half, told = NUMBERS.beside_bins, dict[str, tuple[Floats, Bools]]()
+    if "spectrum" not in frames or frames.sizes["order"] <= 2 * half:
+        return np.empty(0, dtype=np.int64), told
+    at = cycle_bins(frames)
+    for name, spectrum in zip(frames["channel"].values.tolist(), frames["spectrum"].values, strict=True):
+        power = np.abs(spectrum) ** 2
+        known = np.isfinite(power)
+        mean = np.where(known, power, 0.0).sum(axis=0) / np.maximum(1, known.sum(axis=0))
+        told[name] = mean[at], mean[at] > NUMBERS.stands_out * median_beside(mean, half)[at]
+    return at, told
 
 
 def _lines(frames: xr.Dataset) -> tuple[Floats, Complexes]:
     """Orders (lines,) of the cycle that stand out in a channel, and their amplitudes (lines, frames)."""
     order, spectrum = frames["order"].values, frames["spectrum"].values
-    half = NUMBERS.beside_bins
     found: list[Floats] = [np.empty(0)]
     rows: list[Complexes] = [np.empty((0, spectrum.shape[1]), dtype=np.complex128)]
-    if len(order) <= 2 * half or not (at := cycle_bins(frames)).size:
-        return found[0], rows[0]
-    for channel in spectrum:
-        if not np.isfinite(channel.real).all():
-            continue
-        power = np.square(np.abs(channel)).mean(axis=0)
-        chosen = at[power[at] > NUMBERS.stands_out * median_beside(power, half)[at]]
-        found.append(order[chosen])
-        rows.append(channel[:, chosen].T)
+    at, told = standing_orders(frames)
+    for channel, (_, stands) in zip(spectrum, told.values(), strict=False):
+        if np.isfinite(channel.real).all():
+            found.append(order[at[stands]])
+            rows.append(channel[:, at[stands]].T)
     return np.concatenate(found), np.concatenate(rows)
 
 
