@@ -24,8 +24,7 @@ from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, publish_ind
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
-from crankorder.checks.doubts import Doubts
-from crankorder.checks.gathered import RecordingResult
+from crankorder.checks.doubts import Doubts, RecordingResult
 from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Findings, quality_of
