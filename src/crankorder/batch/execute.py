@@ -18,11 +18,10 @@ import xarray as xr
 from crankorder.batch import result_folder, run_log
 from crankorder.batch.frame_store import FrameStore, PackedResult
 from crankorder.batch.kernels import load_kernels
-from crankorder.batch.locks import locked
 from crankorder.batch.machine import engine_of_test, sources_of
 from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, publish_index
 from crankorder.batch.reporting import ReportingProcess
-from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
+from crankorder.batch.store import CHANGED, HashedFile, json_bytes, locked, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.checks.doubts import Doubts, RecordingResult
 from crankorder.engine.definition import Engine, with_gas_file
