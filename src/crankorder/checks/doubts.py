@@ -13,7 +13,7 @@ import xarray as xr
 from crankorder.checks.gains import RecordedLevel, level_jumps
 from crankorder.errors import InputError, printable
 from crankorder.orders.averages import cycle_bins, median_beside
-from crankorder.orders.intervals import NORMAL
+from crankorder.orders.intervals import Z95
 from crankorder.quantities import (
     Bools,
     Complexes,
@@ -204,7 +204,7 @@ def clock_drift(frames: xr.Dataset) -> QualityFlag | None:
         return None
     scale = math.sqrt(max(misfit, 1.0))
     ppm, error_ppm = 1e6 * (coarse + rest), 1e6 * scale / math.sqrt(float(np.sum(weight)))
-    half = NORMAL * error_ppm
+    half = Z95 * error_ppm
     said = f"{len(order)} lines of the vibration drift by {ppm:.3g} ± {half:.2g} ppm of their order"
     if not abs(ppm) > max(DRIFT.least_sigmas * error_ppm, DRIFT.least_ppm):
         detail = f"{said}: the clock of the pulses and that of the samples agree so far"
