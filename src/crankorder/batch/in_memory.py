@@ -8,8 +8,7 @@ from typing import Any
 
 import xarray as xr
 
-from crankorder.batch.execute import results_of_test
-from crankorder.batch.machine import sources_of
+from crankorder.batch.execute import results_of_test, sources_of
 from crankorder.batch.plan import settings_for
 from crankorder.checks.doubts import RecordingResult
 from crankorder.engine.definition import Engine, load_engine
