@@ -16,8 +16,15 @@ from crankorder.engine.slider_crank import plain_piston_acceleration
 from crankorder.plot.painter import picture_bytes
 from crankorder.report.balance.cycle_figures import cycle_dataset, guide_figure, hinge_figure, loads_figure
 from crankorder.report.balance.dataset import balance_dataset
-from crankorder.report.balance.force_figures import force_figure, harmonics_figure, order_bars_figure, polar_figure
-from crankorder.report.balance.look import alike, called, system_color
+from crankorder.report.balance.force_figures import (
+    alike,
+    called,
+    force_figure,
+    harmonics_figure,
+    order_bars_figure,
+    polar_figure,
+    system_color,
+)
 from crankorder.report.balance.text import MISSING, WIDTH, balance_text, hinge_text, shown_orders, text_table
 from crankorder.settings import shipped, toml_table
 from made.texts import overlaps
