@@ -52,7 +52,7 @@ from published import FOLDER, publish
 from whole_process import machine, measured
 
 import crankorder
-from crankorder.batch.machine import engine_of_test, sources_of
+from crankorder.batch.execute import engine_of_test, sources_of
 from crankorder.batch.plan import plan_tests
 from crankorder.campbell.map import campbell_map
 from crankorder.identify.findings import Measured, find

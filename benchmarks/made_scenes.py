@@ -14,7 +14,7 @@ from crankorder.synth.noise import floor_of
 from crankorder.synth.parts import Speeds, TimeSampling
 from crankorder.synth.recording import sensed
 from crankorder.synth.scene import Scene
-from crankorder.synth.truth import truth_of
+from crankorder.synth.write import truth_of
 from made.recordings import held, sampled
 
 

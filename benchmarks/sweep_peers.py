@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import get_window
 
-from crankorder.batch.machine import engine_of_test, sources_of
+from crankorder.batch.execute import engine_of_test, sources_of
 from crankorder.batch.plan import CampaignPlan, plan_tests
 from crankorder.settings import load_settings
 from crankorder.stages import CampaignResult, analyse_recording, analyse_test

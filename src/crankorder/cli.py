@@ -543,10 +543,31 @@ def demo(out: Path, quick: bool, jobs: int, as_json: bool, quiet: bool, verbose:
 @click.option("--out", type=FOLDER, default=Path(), show_default="this folder", help="Folder to test for results.")
 def doctor(out: Path) -> None:
     """Versions, FFTW, free space and a known-answer self-test."""
-    from crankorder.batch.doctor import examine
+    import platform
+    import shutil
+    from importlib.metadata import PackageNotFoundError, version
 
-    lines, healthy = examine(out)
-    for line in lines:
-        click.echo(line)
+    import numpy as np
+
+    from crankorder.batch.store import library_versions
+    from crankorder.fft.plans import fft_library
+    from crankorder.fft.transforms import FrameTransform
+    from crankorder.fft.windows import hann
+
+    lines = [f"crankorder {version('crankorder')}, Python {platform.python_version()}"]
+    lines += [f"{name} {number}" for name, number in library_versions().items() if name != "crankorder"]
+    try:
+        lines.append(f"openpyxl {version('openpyxl')}: XLSX recordings can be read")
+    except PackageNotFoundError:
+        lines.append("openpyxl is missing: for XLSX recordings `pip install crankorder[xlsx]`")
+    existing = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
+    lines.append(f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB")
+    # the spectrum of cos(2 pi 5 t + 1) at its bin is exp(1j)
+    cosine = np.cos(2.0 * np.pi * 5.0 * np.arange(64) / 64 + 1.0)[None, :]
+    error = float(abs(FrameTransform(hann(64)).spectra(cosine, np.array([0]))[0, 0, 5] - np.exp(1j)))
+    healthy = error < 1e-12
+    said = f"a cosine of amplitude 1 is found to {error:.1e}: {'good' if healthy else 'BAD'}"
+    lines.append(f"known answer ({fft_library()}): {said}")
+    click.echo("\n".join(lines))
     if not healthy:
         raise EnvironmentFailure("the self-test failed", remedy="Reinstall crankorder in a new environment")

@@ -24,8 +24,7 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
 from crankorder.campbell.vibration_levels import vibration_levels
-from crankorder.checks.doubts import Doubts, doubts_of
-from crankorder.checks.gathered import Gathered, RecordingResult, flags_of_all
+from crankorder.checks.doubts import Doubts, Gathered, RecordingResult, doubts_of, flags_of_all
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import Bearing
 from crankorder.fft.decimation import band_limited

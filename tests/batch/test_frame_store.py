@@ -12,7 +12,7 @@ from crankorder.batch import execute
 from crankorder.batch.frame_store import STORE, FrameStore, PackedResult
 from crankorder.batch.plan import plan_tests
 from crankorder.batch.run_log import LOGS
-from crankorder.checks.gathered import RecordingResult
+from crankorder.checks.doubts import RecordingResult
 from crankorder.quantities import OrderFrames, ShaftAngle
 from crankorder.stages import analyse_recording
 from made.command import crankorder

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from crankorder.batch import locks
-from crankorder.batch.locks import locked
+from crankorder.batch import store
+from crankorder.batch.store import locked
 from crankorder.errors import EnvironmentFailure
 
 FORK = multiprocessing.get_context("fork")
@@ -72,7 +72,7 @@ def test_f7_a_disk_without_locks_is_told_of_where_something_is_written(tmp_path,
     def refused(handle, operation):
         raise OSError(left[0], os.strerror(left.pop(0)))
 
-    monkeypatch.setattr(locks.fcntl, "flock", refused)
+    monkeypatch.setattr(store.fcntl, "flock", refused)
     for number in numbers:
         told = []
         with locked(tmp_path / str(number), tell=told.append):
@@ -83,6 +83,6 @@ def test_f7_a_lock_that_fails_in_another_way_is_no_disk_without_locks(tmp_path, 
     def refused(handle, operation):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    monkeypatch.setattr(locks.fcntl, "flock", refused)
+    monkeypatch.setattr(store.fcntl, "flock", refused)
     with pytest.raises(EnvironmentFailure), locked(tmp_path / "test"):
         pass

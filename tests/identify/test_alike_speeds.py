@@ -10,8 +10,8 @@ import xarray as xr
 from crankorder.findings import Findings, FreeBand, OpenBand
 from crankorder.identify.findings import IN_DOUBT, speed_doubt, undecided_orders, without_free
 from crankorder.identify.found import SpeedVerdicts, Tone
-from crankorder.identify.intervals import Z95
 from crankorder.identify.modes.alike_speeds import with_lines_of_recordings
+from crankorder.orders.intervals import Z95
 from crankorder.report.sentences.story import headline, story_of
 from crankorder.settings import load_settings
 from made.command import analysed

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import largest
 from crankorder.identify.lines.known_lines import held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.several_orders import several_lines
+from crankorder.orders.intervals import half_width
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 from made.line_frames import PER_REV, agreed_in, angle_of, frames_of, wave, waves

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import Mode as FoundMode
-from crankorder.identify.intervals import Z95, ratio_interval
 from crankorder.identify.modes import sweep_poles
 from crankorder.identify.modes.sweep_poles import sweep_fits
 from crankorder.identify.modes.sweep_window import SweepSpectrum
+from crankorder.orders.intervals import Z95, ratio_interval
 from crankorder.settings import load_settings
 from machines.machine import Encoder, Machine, Mode, Order, Profile, Swing, Tone
 from machines.signals import as_read_by_angle, order_envelope, recorded, sample_times, swung_signal

@@ -12,8 +12,7 @@ import crankorder as co
 from crankorder.batch.result_folder import publish
 from crankorder.batch.store import json_bytes
 from crankorder.errors import RequestError
-from crankorder.interchange.tables import Column, csv_bytes, tables_of
-from crankorder.interchange.uff58 import uff58_bytes
+from crankorder.interchange.export import Column, csv_bytes, tables_of, uff58_bytes
 from crankorder.report.netcdf import findings_datasets, published, read_results, results_bytes, root_attrs
 from made.command import crankorder, done
 from made.typed import findings_of

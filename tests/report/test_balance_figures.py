@@ -14,16 +14,15 @@ from crankorder.engine.hinge_sheet import hinge_sheet
 from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.engine.slider_crank import plain_piston_acceleration
 from crankorder.plot.painter import picture_bytes
+from crankorder.report.balance import force_figures as pictures
 from crankorder.report.balance.cycle_figures import cycle_dataset, guide_figure, hinge_figure, loads_figure
 from crankorder.report.balance.dataset import balance_dataset
-from crankorder.report.balance.force_figures import force_figure, harmonics_figure, order_bars_figure, polar_figure
-from crankorder.report.balance.look import alike, called, system_color
 from crankorder.report.balance.text import MISSING, WIDTH, balance_text, hinge_text, shown_orders, text_table
 from crankorder.settings import shipped, toml_table
 from made.texts import overlaps
 
 CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})
-PICTURES = [polar_figure, force_figure, order_bars_figure, harmonics_figure]
+PICTURES = [pictures.polar_figure, pictures.force_figure, pictures.order_bars_figure, pictures.harmonics_figure]
 SPEED = 3000.0
 
 
@@ -91,7 +90,7 @@ def test_the_polar_curve_of_the_bare_engine_is_the_exact_force(task5):
 
 @pytest.mark.slow
 def test_arrows_go_round_as_the_force_does_and_a_line_has_none(task5, settings):
-    figure = polar_figure(task5, title="t", settings=settings)
+    figure = pictures.polar_figure(task5, title="t", settings=settings)
     turning: dict[str, list[float]] = {}
     counterweights = ["none", "a", "b", "c", "d"]  # twice: by the first harmonic alone, and by all
     names = [*counterweights, *counterweights, *task5["system"].values[5:]]
@@ -108,7 +107,7 @@ def test_arrows_go_round_as_the_force_does_and_a_line_has_none(task5, settings):
 
 @pytest.mark.slow
 def test_the_first_harmonic_of_strategy_c_is_a_circle_and_of_the_bare_engine_an_ellipse(task5, settings):
-    figure = polar_figure(task5, title="t", settings=settings)
+    figure = pictures.polar_figure(task5, title="t", settings=settings)
     curves = [next(line for line in axes.lines if line.get_gid() == "polar").get_data() for axes in figure.axes]
     newton = float(unbalance_force_n(1.0, SPEED))
     across, along = curves[3]
@@ -122,7 +121,7 @@ def test_the_first_harmonic_of_strategy_c_is_a_circle_and_of_the_bare_engine_an_
 def test_primary_and_secondary_force_add_up_as_in_figure_7_of_the_thesis(settings):
     ratio = 0.25
     subject = _changed("msu-standard", crank_radius_m=0.04, rod_length_m=0.16, reciprocating_mass_kg=1.0)
-    figure = harmonics_figure(_dataset(subject), title="t", settings=settings)
+    figure = pictures.harmonics_figure(_dataset(subject), title="t", settings=settings)
     (axes,) = figure.axes  # nothing across: one panel
     lines = {line.get_gid(): np.asarray(line.get_ydata()) for line in axes.lines if line.get_gid()}
     np.testing.assert_allclose(lines["both-x"], lines["primary-x"] + lines["secondary-x"], rtol=1e-12, atol=1e-9)
@@ -159,7 +158,7 @@ def test_amplitude_and_phase_stand_in_the_dataset_as_in_the_sheet():
 
 
 def test_force_curves_are_in_newtons_at_the_highest_speed(task5, settings):
-    figure = force_figure(task5, title="t", settings=settings)
+    figure = pictures.force_figure(task5, title="t", settings=settings)
     lines = {line.get_gid(): line for axes in figure.axes for line in axes.lines if line.get_gid()}
     for axis, column in (("x", 0), ("y", 1)):
         expected = unbalance_force_n(task5["curve"].values[0, column], SPEED)
@@ -169,7 +168,7 @@ def test_force_curves_are_in_newtons_at_the_highest_speed(task5, settings):
 
 
 def test_bars_are_the_amplitudes_of_the_sheet(task5, settings):
-    figure = order_bars_figure(task5, title="t", settings=settings)
+    figure = pictures.order_bars_figure(task5, title="t", settings=settings)
     heights = sorted({round(bar.get_height(), 6) for axes in figure.axes for bar in axes.patches if bar.get_height()})
     grams = [19250.0, 11250.0, 8000.0, 4000.0, 2032.200338455802, 32.78488937623422]
     assert heights == sorted(round(float(unbalance_force_n(value, SPEED)), 6) for value in grams)
@@ -179,7 +178,7 @@ def test_bars_are_the_amplitudes_of_the_sheet(task5, settings):
 @pytest.mark.parametrize("name", CRANK_ENGINES)
 def test_no_two_systems_of_an_engine_have_one_colour(name):
     names = _dataset(load_balanced_engine(name))["system"].values
-    assert len({system_color(str(system)) for system in names}) == len(names)
+    assert len({pictures.system_color(str(system)) for system in names}) == len(names)
 
 
 @pytest.mark.slow
@@ -199,11 +198,11 @@ def test_loads_that_coincide_are_one_curve_with_both_names(settings):
 
 @pytest.mark.slow
 def test_systems_that_leave_the_same_are_named_together(task5):
-    groups = alike(task5["curve"])
+    groups = pictures.alike(task5["curve"])
     assert ["1", "4"] in groups
     assert ["3", "4+2"] in groups
-    assert called(["4", "1"], task5) == "shafts 1 and 4"
-    assert called(["none", "b", "own"], task5) == "no balancing, strategy b, its own shafts"
+    assert pictures.called(["4", "1"], task5) == "shafts 1 and 4"
+    assert pictures.called(["none", "b", "own"], task5) == "no balancing, strategy b, its own shafts"
 
 
 @pytest.mark.slow
@@ -214,14 +213,15 @@ def test_an_engine_whose_file_has_counterweights_is_drawn_as_built():
     webbed = bare.model_copy(update={"webs": (web,)})
     for engine, name in ((subject.engine, "as built"), (webbed, "as built"), (bare, "no balancing")):
         made = _dataset(replace(subject, engine=engine))
-        assert called(["none"], made) == name
+        assert pictures.called(["none"], made) == name
         told = balance_sheet(replace(subject, engine=engine)).sentences[0]
         assert told.startswith("As built" if name == "as built" else "With no balancing")
 
 
 def test_moments_of_several_cylinders_are_drawn_and_those_of_one_are_not(settings, task5):
     four = _dataset(load_balanced_engine("v-twin"))
-    drawn = {line.get_gid() for axes in force_figure(four, title="t", settings=settings).axes for line in axes.lines}
+    figure = pictures.force_figure(four, title="t", settings=settings)
+    drawn = {line.get_gid() for axes in figure.axes for line in axes.lines}
     assert {"moment-about_x", "moment-about_y", "moment-about_crankshaft"} <= drawn
     assert "moment" not in task5
 

@@ -24,7 +24,7 @@ from crankorder.synth.parts import (
 )
 from crankorder.synth.recording import sensed
 from crankorder.synth.scene import Scene
-from crankorder.synth.truth import truth_of
+from crankorder.synth.write import truth_of
 
 RNG = np.random.default_rng(3)
 ORDERS = (0.5, 1.0, 1.5, 2.0, 4.0, 20.0, 5.37, -1.0, 0.0, 33.5, 2.0)

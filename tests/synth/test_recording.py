@@ -12,7 +12,7 @@ from crankorder.synth.noise import floor_of
 from crankorder.synth.parts import Acquisition, InCycleSpeed, SpeedOrder, SpeedProfile, Wander
 from crankorder.synth.recording import sensed
 from crankorder.synth.scene import Scene
-from crankorder.synth.truth import truth_of
+from crankorder.synth.write import truth_of
 
 SceneWith = Callable[..., Scene]
 DRIVEN = ("engine_forces", "gas_torque", "injected_orders")

@@ -6,7 +6,7 @@ import pytest
 
 from crankorder.settings import shipped
 from crankorder.synth.load import load_scene
-from crankorder.synth.truth import truth_of
+from crankorder.synth.write import truth_of
 from made.command import crankorder, done
 from made.contradictions import contradictions
 

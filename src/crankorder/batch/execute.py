@@ -18,21 +18,23 @@ import xarray as xr
 from crankorder.batch import result_folder, run_log
 from crankorder.batch.frame_store import FrameStore, PackedResult
 from crankorder.batch.kernels import load_kernels
-from crankorder.batch.locks import locked
-from crankorder.batch.machine import engine_of_test, sources_of
 from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, publish_index
 from crankorder.batch.reporting import ReportingProcess
-from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
+from crankorder.batch.store import CHANGED, HashedFile, json_bytes, locked, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
-from crankorder.checks.doubts import Doubts
-from crankorder.checks.gathered import RecordingResult
-from crankorder.engine.definition import Engine, with_gas_file
+from crankorder.checks.doubts import Doubts, RecordingResult
+from crankorder.engine.definition import Engine, load_engine, with_gas_file
+from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Findings, quality_of
-from crankorder.identify.machine_model import MachineModel, cycle_doubts
+from crankorder.identify.machine_model import Limit, MachineModel, StatedPart, cycle_doubts
+from crankorder.ingest.manifest import Manifest
 from crankorder.quantities import QualityFlag, remark
 from crankorder.settings import Settings, toml_table
 from crankorder.stages import analyse_recording, analyse_test, compare_recordings, frames_wanted
+
+KINEMATIC_SHARE = 1e-3
+"""An order with less than this share of the largest inertia force is not called engine kinematics."""
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
@@ -429,4 +431,41 @@ def _accuracy_text(order_map: xr.Dataset | None) -> str:
     return (
         f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {measured}, "
         f"{asked:g} asked{missed}"
+    )
+
+
+def engine_of_test(plan: CampaignPlan) -> Engine | None:
+    """The engine that the manifest of the ``plan`` names, if any."""
+    name = plan.manifest.test.engine
+    return None if name is None else load_engine(name, beside=plan.folder)
+
+
+def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) -> MachineModel:
+    """What ``manifest`` and ``engine`` say of the machine; less where ``settings`` ask for no findings that need it."""
+    orders: tuple[float, ...] = ()
+    bearings = manifest.bearings
+    if engine is not None and "findings" in settings.report.results:
+        orders = orders_made(engine, share=KINEMATIC_SHARE, max_order=int(settings.orders.max_order))
+        named = {bearing.name for bearing in bearings}
+        bearings += tuple(bearing for bearing in engine.bearings if bearing.name not in named)
+    return MachineModel(
+        revs_per_cycle=manifest.revs_per_cycle,
+        engine_orders=orders,
+        bearings=bearings,
+        firing=engine is not None and engine.gas is not None,
+        gears=tuple(
+            StatedPart("gear mesh", gear.name, gear.mesh_order, gear.ratio_share * gear.mesh_order, gear.ratio)
+            for gear in manifest.gears
+        ),
+        engine=engine,
+        paths=manifest.transfer_paths,
+        added=manifest.added_masses,
+        motor=manifest.motor,
+        limits=tuple(
+            Limit(limit.quantity, *limit.band_hz, limit.value_si, limit.source, limit.channels)
+            for limit in manifest.limits
+        ),
+        rotor_kg=None if manifest.rotor is None else manifest.rotor.mass_kg,
+        service_rpm=None if manifest.rotor is None else manifest.rotor.service_rpm,
+        two_stroke=manifest.test.cycle == "two-stroke",
     )

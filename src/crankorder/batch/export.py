@@ -9,8 +9,7 @@ from crankorder.batch.compare import refuse_results
 from crankorder.batch.result_folder import publish, read_document, result_folders
 from crankorder.batch.store import file_sha256, text_sha256
 from crankorder.errors import RequestError
-from crankorder.interchange.tables import csv_bytes, parquet_bytes, tables_of
-from crankorder.interchange.uff58 import uff58_bytes
+from crankorder.interchange.export import csv_bytes, parquet_bytes, tables_of, uff58_bytes
 from crankorder.report.netcdf import published, read_results
 
 FORMATS = ("uff58", "csv", "parquet")

@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.checks.gathered import RecordingResult
+from crankorder.checks.doubts import RecordingResult
 from crankorder.quantities import Attribute, QualityFlag, ShaftAngle, unindexed
 from crankorder.scratch import empty
 from crankorder.stages import FRAMES_OF

@@ -8,10 +8,9 @@ from typing import Any
 
 import xarray as xr
 
-from crankorder.batch.execute import results_of_test
-from crankorder.batch.machine import sources_of
+from crankorder.batch.execute import results_of_test, sources_of
 from crankorder.batch.plan import settings_for
-from crankorder.checks.gathered import RecordingResult
+from crankorder.checks.doubts import RecordingResult
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
 from crankorder.findings import Findings

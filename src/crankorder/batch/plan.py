@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crankorder.batch import result_folder
-from crankorder.batch.locks import locked
-from crankorder.batch.store import json_bytes, text_sha256, write_atomically
+from crankorder.batch.store import json_bytes, locked, text_sha256, write_atomically
 from crankorder.errors import CrankorderError, EnvironmentFailure, ManyErrors, RequestError, printable
 from crankorder.ingest.folder import checksum_faults, natural_key, recordings_of
 from crankorder.ingest.manifest import Manifest, load_manifest

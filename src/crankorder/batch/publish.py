@@ -7,10 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from crankorder.batch.locks import locked
 from crankorder.batch.plan import folder_name
 from crankorder.batch.result_folder import TIMINGS, marker_of, publish, read_findings, settle
-from crankorder.batch.store import json_bytes
+from crankorder.batch.store import json_bytes, locked
 from crankorder.batch.workers import FORKS, each
 from crankorder.errors import InputError
 from crankorder.findings import Findings

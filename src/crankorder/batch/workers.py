@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection, Pipe, wait
 from pathlib import Path
 from typing import Any
 
-from crankorder.batch.locks import forget_locks
+from crankorder.batch.store import forget_locks
 from crankorder.scratch import keep_freed_memory, scratch_folder
 
 FORKS = sys.platform == "linux"

@@ -1,20 +1,34 @@
-"""Doubts about the recordings of a test beside each other: gains, clocks, lengths, and what is left out for them."""
+"""What the recordings of a test gave, and doubts about them: gains, clocks, lengths, and what is left out for them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from crankorder.checks.clocks import clock_drift, standing_orders
 from crankorder.checks.gains import RecordedLevel, level_jumps
 from crankorder.errors import InputError, printable
-from crankorder.quantities import Floats, QualityFlag, remark
+from crankorder.orders.averages import cycle_bins, median_beside
+from crankorder.orders.intervals import Z95
+from crankorder.quantities import (
+    Bools,
+    Complexes,
+    Floats,
+    Ints,
+    OrderFrames,
+    QualityFlag,
+    ShaftAngle,
+    flags_of,
+    remark,
+    with_flags,
+)
 from crankorder.settings import IngestSettings, MethodNumbers
 
-NUMBERS = MethodNumbers("1-ingest-faults.toml", "short_recordings")
+LENGTHS = MethodNumbers("1-ingest-faults.toml", "short_recordings")
 
 _NOTHING_IS_ZERO = ("degrees_of_freedom", "n_independent", "n_cycles", "peak_above")
 """Variables in which a channel without data has 0; in all others NaN."""
@@ -126,17 +140,17 @@ def short_recordings(lengths_s: Mapping[str, float]) -> list[QualityFlag]:
     be named.
     """
     lengths = np.array(list(lengths_s.values()))
-    if len(lengths) < NUMBERS.fewest_recordings:
+    if len(lengths) < LENGTHS.fewest_recordings:
         return []
     usual = float(np.median(lengths))
-    alike = np.abs(lengths - usual) <= NUMBERS.alike_share * usual
-    if not usual > 0.0 or np.mean(alike) < NUMBERS.alike_recordings:
+    alike = np.abs(lengths - usual) <= LENGTHS.alike_share * usual
+    if not usual > 0.0 or np.mean(alike) < LENGTHS.alike_recordings:
         return []
     beside = f"where the other recordings of the test last {usual:.3g} s: if it was not stopped early its file has lost"
     return [
         remark(name, "shorter_than_others", f"{length:.3g} s, {beside} its end")
         for name, length in lengths_s.items()
-        if length < (1.0 - NUMBERS.shorter_share) * usual
+        if length < (1.0 - LENGTHS.shorter_share) * usual
     ]
 
 
@@ -154,3 +168,170 @@ def fault_of(name: str, flags: Sequence[QualityFlag], *, strict: bool = False) -
         return None
     problem = "refused by --strict" if strict else "left out of all averages"
     return InputError(problem, file=name, found="; ".join(doubts))
+
+
+DRIFT = MethodNumbers("3-orders-recordings.toml", "clock_drift")
+
+NOT_COMPARED = "clocks_not_compared"
+"""Flag of recordings whose pulses were stamped by another device than their samples."""
+
+
+def clock_drift(frames: xr.Dataset) -> QualityFlag | None:
+    """Whether the clocks of pulses and samples of ``frames`` (OrderFrames) agree; None where one clock stamped both.
+
+    So where too few lines stand out, where these differ by more than their noise lets them, and where the speed is not
+    held: in a sweep modes turn the phases of lines.
+    """
+    speed = frames["speed"].values
+    if not any(flag["flag"] == NOT_COMPARED for flag in flags_of(frames)):
+        return None
+    if np.isfinite(speed).sum() < DRIFT.fewest_frames or bool(frames.attrs.get("swept", 0)):
+        return None
+    if np.nanmax(speed) > np.nanmin(speed) * (1.0 + DRIFT.held_share):
+        return None
+    order, lines = _lines(frames)
+    if len(order) < DRIFT.fewest_lines or len(np.unique(order)) < 2:
+        return None
+    begin = frames["crank_angle"].values.astype(np.float64)
+    begin = begin - begin.mean()
+    coarse = _coarse(order, lines, begin)
+    slope, error = _slopes(lines * np.exp(-2j * np.pi * coarse * np.outer(order, begin)), begin)
+    weight = np.square(order / error)
+    apart = slope / order
+    rest = float(np.sum(weight * apart) / np.sum(weight))
+    misfit = float(np.sum(weight * np.square(apart - rest))) / (len(order) - 1)
+    if not misfit < DRIFT.least_sigmas**2:
+        return None
+    scale = math.sqrt(max(misfit, 1.0))
+    ppm, error_ppm = 1e6 * (coarse + rest), 1e6 * scale / math.sqrt(float(np.sum(weight)))
+    half = Z95 * error_ppm
+    said = f"{len(order)} lines of the vibration drift by {ppm:.3g} ± {half:.2g} ppm of their order"
+    if not abs(ppm) > max(DRIFT.least_sigmas * error_ppm, DRIFT.least_ppm):
+        detail = f"{said}: the clock of the pulses and that of the samples agree so far"
+        return remark(str(frames.attrs["recording"]), "clocks_agree", detail)
+    way = "fast" if ppm > 0.0 else "slow"
+    detail = (
+        f"{said}: the clock of the pulses runs {way} beside that of the samples, or what shakes slips "
+        "against the shaft that has the pulses; phases of averages turn by it and high orders fade"
+    )
+    return remark(str(frames.attrs["recording"]), "clocks_differ", detail, "suspect")
+
+
+def standing_orders(frames: xr.Dataset) -> tuple[Ints, dict[str, tuple[Floats, Bools]]]:
+    """Bins (orders,) of the cycle's orders in OrderFrames ``frames``, and of each channel, by name, their mean power
+    (orders,) and which stand out; nothing where the bins are too few to tell.
+    """
+    half, told = DRIFT.beside_bins, dict[str, tuple[Floats, Bools]]()
+    if "spectrum" not in frames or frames.sizes["order"] <= 2 * half:
+        return np.empty(0, dtype=np.int64), told
+    at = cycle_bins(frames)
+    for name, spectrum in zip(frames["channel"].values.tolist(), frames["spectrum"].values, strict=True):
+        power = np.abs(spectrum) ** 2
+        known = np.isfinite(power)
+        mean = np.where(known, power, 0.0).sum(axis=0) / np.maximum(1, known.sum(axis=0))
+        told[name] = mean[at], mean[at] > DRIFT.stands_out * median_beside(mean, half)[at]
+    return at, told
+
+
+def _lines(frames: xr.Dataset) -> tuple[Floats, Complexes]:
+    """Orders (lines,) of the cycle that stand out in a channel, and their amplitudes (lines, frames)."""
+    order, spectrum = frames["order"].values, frames["spectrum"].values
+    found: list[Floats] = [np.empty(0)]
+    rows: list[Complexes] = [np.empty((0, spectrum.shape[1]), dtype=np.complex128)]
+    at, told = standing_orders(frames)
+    for channel, (_, stands) in zip(spectrum, told.values(), strict=False):
+        if np.isfinite(channel.real).all():
+            found.append(order[at[stands]])
+            rows.append(channel[:, at[stands]].T)
+    return np.concatenate(found), np.concatenate(rows)
+
+
+def _coarse(order: Floats, lines: Complexes, begin: Floats) -> float:
+    """Drift [1] at which all lines together keep their phase best: the highest point of their joint periodogram."""
+    reach = 1e-6 * DRIFT.largest_ppm
+    step = 0.25 / max(float(order.max()) * float(np.ptp(begin)), 1.0)
+    grid = np.arange(-math.ceil(reach / step), math.ceil(reach / step) + 1) * step
+    power = np.square(np.abs(lines)).sum(axis=1)
+    total = np.zeros(len(grid))
+    for own, row, size in zip(order, lines, power, strict=True):
+        total += np.square(np.abs(np.exp(-2j * np.pi * own * np.outer(grid, begin)) @ row)) / max(size, 1e-300)
+    return float(grid[int(np.argmax(total))])
+
+
+def _slopes(lines: Complexes, begin: Floats) -> tuple[Floats, Floats]:
+    """Slope (lines,) of the phase of each of ``lines`` (lines, frames) [rev per rev], and its standard error."""
+    mean = lines.mean(axis=1, keepdims=True)
+    turned = lines / np.where(np.abs(mean) > 0.0, mean, 1.0)
+    phase = turned.imag / (2.0 * np.pi)  # of small angles, which noise does not wrap
+    square = float(np.sum(np.square(begin)))
+    slope = phase @ begin / square
+    left = phase - np.outer(slope, begin) - phase.mean(axis=1, keepdims=True)
+    # frames overlap by half: each second one is new
+    freedom = max(len(begin) / 2.0 - 2.0, 1.0)
+    error = np.sqrt(np.square(left).sum(axis=1) / freedom / (square / 2.0) / 2.0)
+    return slope, np.maximum(error, 1e-12)
+
+
+def flags_of_all(datasets: Iterable[xr.Dataset]) -> list[QualityFlag]:
+    """Quality flags of the ``datasets``, each once, in the order in which they were raised."""
+    flags: list[QualityFlag] = []
+    for dataset in datasets:
+        flags += [flag for flag in flags_of(dataset) if flag not in flags]
+    return flags
+
+
+@dataclass(frozen=True)
+class RecordingResult:
+    """What one recording gives to its test: its shaft, and the frames by noun that the wanted results need."""
+
+    shaft: ShaftAngle
+    frames: Mapping[Any, xr.Dataset]
+
+    @property
+    def name(self) -> str:
+        """Name of the recording: its path inside the folder of the test."""
+        return str(self.shaft.attrs["recording"])
+
+    @property
+    def flags(self) -> list[QualityFlag]:
+        """Quality flags of shaft and frames, each once, in the order in which they were raised."""
+        return flags_of_all((*self.frames.values(), self.shaft))
+
+    def doubted(self, doubts: Doubts) -> RecordingResult:
+        """This result with its flags of ``doubts``, in which the channels that these leave out hold no data."""
+        gains, clocks = doubts.gains.get(self.name, []), doubts.clocks.get(self.name, [])
+        if not gains and not clocks:
+            return self
+        frames = {noun: emptied(frame, gains) for noun, frame in self.frames.items()}
+        if clocks:
+            frames[OrderFrames] = with_flags(frames[OrderFrames].copy(), clocks)
+        return RecordingResult(ShaftAngle(with_flags(self.shaft.copy(), gains)), frames)
+
+    def history_of(self, noun: Any) -> str:
+        """History of the frames of this ``noun``, or of the shaft."""
+        return str((self.shaft if noun is ShaftAngle else self.frames[noun]).attrs.get("history", ""))
+
+
+class Gathered(Sequence[xr.Dataset]):
+    """Frames of one noun of all ``recordings`` that have it, taken from each as they are asked for."""
+
+    def __init__(self, recordings: Sequence[RecordingResult], noun: Any) -> None:
+        """Those of the ``noun``, ShaftAngle or one of the frames."""
+        self._noun = noun
+        self._of = [item for item in recordings if noun is ShaftAngle or noun in item.frames]
+
+    def __len__(self) -> int:
+        """Number of recordings."""
+        return len(self._of)
+
+    def __getitem__(self, number: Any) -> Any:
+        """Dataset of the recording ``number``; a list for a slice."""
+        if isinstance(number, slice):
+            return [self[k] for k in range(*number.indices(len(self)))]
+        one = self._of[number]
+        return one.shaft if self._noun is ShaftAngle else one.frames[self._noun]
+
+    @property
+    def histories(self) -> list[str]:
+        """History of each dataset."""
+        return [one.history_of(self._noun) for one in self._of]

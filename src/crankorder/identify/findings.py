@@ -44,7 +44,6 @@ from crankorder.identify.found import (
     Unsearched,
     Whirl,
 )
-from crankorder.identify.intervals import Z95, half_width, interval, positive_interval, size_interval
 from crankorder.identify.levels import graded, level_records, limit_verdicts, third_octave_records, vibration_records
 from crankorder.identify.lines.agreed_orders import orders_agreed, unless_sidebands
 from crankorder.identify.lines.followed_orders import (
@@ -67,6 +66,7 @@ from crankorder.identify.modes.order_blocks import with_locks_through_modes
 from crankorder.identify.modes.responses import held_peak
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
+from crankorder.orders.intervals import Z95, half_width, interval, positive_interval, size_interval
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure
 from crankorder.records import Ends

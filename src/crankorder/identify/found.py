@@ -9,7 +9,7 @@ import numpy as np
 
 from crankorder.cause import DoubtKind
 from crankorder.findings import AvoidedSpeed, CrossingFinding, FreeBand, Lock, OpenBand
-from crankorder.identify.intervals import Z95, half_width, positive_interval, ratio_interval
+from crankorder.orders.intervals import Z95, half_width, positive_interval, ratio_interval
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.records import Ends
 

@@ -17,7 +17,7 @@ from crankorder.engine.machine_parts import AddedMass, Bearing, Motor, StatedPat
 from crankorder.errors import RequestError
 from crankorder.findings import OrderFinding, Quality
 from crankorder.identify.found import AgreedOrder
-from crankorder.identify.intervals import half_width
+from crankorder.orders.intervals import half_width
 from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 

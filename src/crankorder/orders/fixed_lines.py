@@ -17,7 +17,7 @@ from scipy.fft import fft, ifft, next_fast_len
 from crankorder.fft.decimation import sound_samples
 from crankorder.findings import Findings
 from crankorder.orders.close_rows import Stretch
-from crankorder.orders.intervals import LARGEST_DOF, NORMAL, amplitude_interval, phase_interval_deg
+from crankorder.orders.intervals import LARGEST_DOF, Z95, amplitude_interval, phase_interval_deg
 from crankorder.orders.joint_lines import Band, Place, hann_lobe, joint_lines
 from crankorder.orders.true_angle import UNKNOWN_DEG
 from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag
@@ -114,9 +114,9 @@ def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
         hertz, high = ends[1], size[1]
         if "order" in one.kinds or hertz is None or high is None:
             continue
-        error = (hertz - one.frequency_hz) / NORMAL
+        error = (hertz - one.frequency_hz) / Z95
         line = found.setdefault(one.frequency_hz, FixedLine(one.frequency_hz, error, str(one.explained_by), {}))
-        line.amplitude[one.channel] = one.amplitude, (high - one.amplitude) / NORMAL
+        line.amplitude[one.channel] = one.amplitude, (high - one.amplitude) / Z95
     return tuple(found.values())
 
 
@@ -182,7 +182,7 @@ def _met(stretch: Stretch, order: float, lines: Sequence[FixedLine], close: Sequ
         places += [Place(line.frequency_hz + step) for step in off.tolist()]
         whole = np.square(size / stretch.unit) + np.square(error / stretch.unit)
         power += [share * whole for share in (weight / weight.sum()).tolist()]
-        most += np.abs(hann_lobe((line.frequency_hz * held.pace_s - order) * held.revs)).max() * (size + NORMAL * error)
+        most += np.abs(hann_lobe((line.frequency_hz * held.pace_s - order) * held.revs)).max() * (size + Z95 * error)
     solved = joint_lines(band, places, power=np.array(power))
     noise, freedom = solved.noise(0)
     unit = band.unit * stretch.unit
@@ -211,7 +211,7 @@ def _met_row(row: int, parts: Sequence[_Met], is_coherent: bool) -> MetRow:
         doubt=doubt,
         is_parted=(joined < NUMBERS.parted_share**2 * np.square(doubt)) & is_coherent,
         touched=doubt > NUMBERS.least_share * by_noise,
-        matters=doubt > NORMAL * by_noise,
+        matters=doubt > Z95 * by_noise,
     )
 
 
@@ -250,7 +250,7 @@ def _put(made: OrderRows, one: MetRow, touched: Bools) -> None:
         turned = np.degrees(np.arcsin(np.minimum(one.doubt / made.amplitude[:, row], 1.0)))
     as_shown = np.where(turned < RIGHT_ANGLE_DEG, made.phase_ci95[:, row] + turned, UNKNOWN_DEG)
     half = np.where(agree, phase_interval_deg(np.abs(one.value), one.power, one.freedom), as_shown)
-    error = np.where(agree, np.sqrt(0.5 * one.power), 0.5 * (high - low) / NORMAL)
+    error = np.where(agree, np.sqrt(0.5 * one.power), 0.5 * (high - low) / Z95)
     told = {
         "amplitude": size,
         "amplitude_low": low,

@@ -15,7 +15,7 @@ from crankorder.fft.decimation import band_limited, sound_samples
 from crankorder.fft.transforms import counted
 from crankorder.orders.averages import median_of_known
 from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
-from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg
+from crankorder.orders.intervals import Z95, amplitude_interval, phase_interval_deg
 from crankorder.orders.true_angle import AngleErrors, errors_along
 from crankorder.orders.vold_kalman.bandwidth import (
     FLANK,
@@ -388,7 +388,7 @@ def _left_taken(amplitude: Complexes, taken: Complexes, error: Floats, plan: _Pl
         near = 2 * int(np.ceil(REACH * rows)) + 1
         largest, most = (maximum_filter1d(one[:, place], near, axis=1) for one in (size, lost))
         times = taken_in_truth(most / np.maximum(largest, 1e-300), widest[place], POLES)
-        made[:, place] = np.maximum((times - 1.0) / NORMAL * most - np.abs(np.nan_to_num(taken[:, place])), 0.0)
+        made[:, place] = np.maximum((times - 1.0) / Z95 * most - np.abs(np.nan_to_num(taken[:, place])), 0.0)
     apart = np.abs(plan.orders[:, None] - plan.orders)[:, :, None] * speed / 60.0
     shared = np.maximum(1.0 - apart / np.maximum(widest * width, 1e-300)[None], 0.0)
     shared[np.arange(len(shared)), np.arange(len(shared))] = 0.0

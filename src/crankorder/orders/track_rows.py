@@ -19,7 +19,7 @@ from crankorder.orders.averages import HeldSizes, SizeRows, beside_bins, noise_b
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
 from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows, beside_fixed, met_rows
 from crankorder.orders.intervals import (
-    NORMAL,
+    Z95,
     amplitude_interval,
     energy_interval,
     one_phase_reference,
@@ -385,7 +385,7 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     low, high = amplitude_interval(magnitude, power, dof)
     power = power + 2.0 * (across**2 - along**2)
     more = item["smoothing_more"].values[:, place]  # a filter lowers a peak: what it may have taken is no doubt below
-    high, power = high + NORMAL * more, power + 2.0 * more**2
+    high, power = high + Z95 * more, power + 2.0 * more**2
     angle = AngleErrors(item["angle_scatter"].values, item["angle_error"].values)
     turned = value * np.exp(
         2j * np.pi * ((float(item["order"].values[place]) - order) * item["crank_angle"].values % 1.0)

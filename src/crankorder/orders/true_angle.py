@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from crankorder.orders.intervals import NORMAL, one_phase_reference
+from crankorder.orders.intervals import Z95, one_phase_reference
 from crankorder.orders.swing_evidence import (
     HARMONICS,
     Expected,
@@ -85,7 +85,7 @@ class AngleErrors:
 
         All have shapes that follow from (rows,) by broadcasting; unknown phases stay so.
         """
-        turned = NORMAL * 360.0 * order * self.mean
+        turned = Z95 * 360.0 * order * self.mean
         wider = np.minimum(np.hypot(half_deg, turned), UNKNOWN_DEG)
         return np.asarray(np.where(half_deg < UNKNOWN_DEG, wider, half_deg))
 

@@ -11,7 +11,7 @@ import numpy as np
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Balance
-from crankorder.identify.intervals import half_width
+from crankorder.orders.intervals import half_width
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 

@@ -12,7 +12,6 @@ import xarray as xr
 from scipy.special import fdtrc
 
 from crankorder.engine.machine_parts import Bearing, bearing_orders
-from crankorder.identify.intervals import half_width
 from crankorder.orders.envelope_combs import (
     TRIALS_PER_BIN,
     Comb,
@@ -24,6 +23,7 @@ from crankorder.orders.envelope_combs import (
     looked_at,
     over_skirts,
 )
+from crankorder.orders.intervals import half_width
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
 

@@ -24,9 +24,9 @@ from crankorder.identify.bearings.envelope_lines import (
     spectra_of,
 )
 from crankorder.identify.found import AgreedOrder, AgreedOrders
-from crankorder.identify.intervals import Z95, half_width, positive_interval, size_interval
 from crankorder.identify.lines.growth import growth, mean_level, reported
 from crankorder.identify.machine_model import StatedPart, parts_at
+from crankorder.orders.intervals import Z95, half_width, positive_interval, size_interval
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 

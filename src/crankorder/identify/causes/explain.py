@@ -21,7 +21,6 @@ from crankorder.identify.causes.sidebands import (
     struck_races,
 )
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, OrderLine, Tone
-from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import NO_MOTION, largest, order_one
 from crankorder.identify.lines.known_lines import LineSeen, named_by
 from crankorder.identify.lines.line_evidence import ShownAlias
@@ -36,6 +35,7 @@ from crankorder.identify.machine_model import (
     parts_at,
 )
 from crankorder.identify.modes.tones import NUMBERS as TONES
+from crankorder.orders.intervals import half_width
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.settings import IdentifySettings, MethodNumbers
 

@@ -13,9 +13,9 @@ import xarray as xr
 from crankorder.cause import BY_A_SWING, Cause, CauseKind
 from crankorder.findings import BearingFinding
 from crankorder.identify.found import AgreedOrder, AgreedOrders, OrderLine
-from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import MachineModel
+from crankorder.orders.intervals import Z95
 from crankorder.orders.swing_evidence import HARMONICS
 from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_of, swing_shown
 from crankorder.quantities import Bools, Floats

@@ -53,7 +53,7 @@ from crankorder.identify.changes.order_changes import (
     orders_to_compare,
     run_trends,
 )
-from crankorder.identify.intervals import claimed, error_of, interval
+from crankorder.orders.intervals import claimed, error_of, interval
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.records import finite, known
 from crankorder.settings import MethodNumbers

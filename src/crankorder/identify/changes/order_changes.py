@@ -15,7 +15,9 @@ from scipy.special import fdtrc, stdtr
 from crankorder.comparison import LineKind, Trend
 from crankorder.findings import Findings, OrderFinding
 from crankorder.identify.bearings.envelope_lines import Spectra, spectra_of
-from crankorder.identify.intervals import (
+from crankorder.orders.intervals import (
+    LOCATED,
+    WHOLE,
     claimed,
     error_of,
     half_width,
@@ -24,7 +26,6 @@ from crankorder.identify.intervals import (
     positive_interval,
     simes,
 )
-from crankorder.orders.intervals import LOCATED, WHOLE
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.records import Document, Ends, known
 from crankorder.settings import MethodNumbers

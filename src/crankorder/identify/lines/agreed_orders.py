@@ -10,7 +10,6 @@ import xarray as xr
 
 from crankorder.cause import alike_speeds
 from crankorder.identify.found import UNRESOLVED, AgreedOrder, AgreedOrders, Doubt, OrderLine
-from crankorder.identify.intervals import excess_scatter, half_width
 from crankorder.identify.lines.line_evidence import LOBE_BINS
 from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.line_phasors import (
@@ -38,6 +37,7 @@ from crankorder.identify.lines.order_lines import ONE_SPEED, SWELLS, longer_fram
 from crankorder.identify.lines.order_lines import SWEPT_NUMBERS as SWEPT_ORDERS
 from crankorder.identify.lines.several_orders import SOLVED, close_lines, lines_of_sightings
 from crankorder.identify.lines.zoom import Course, Zoomed
+from crankorder.orders.intervals import excess_scatter, half_width
 from crankorder.orders.joint_lines import hann_lobe
 from crankorder.orders.true_angle import ERROR
 from crankorder.quantities import Floats

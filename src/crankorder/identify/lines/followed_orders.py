@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import UNRESOLVED, AgreedOrder, AgreedOrders, Doubt, OrderLine, Tone, ToneKind
-from crankorder.identify.intervals import half_width, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
 from crankorder.identify.lines.growth import remark_on
@@ -27,6 +26,7 @@ from crankorder.identify.lines.line_phasors import (
 )
 from crankorder.identify.lines.order_lines import longer_frames
 from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
+from crankorder.orders.intervals import half_width, interval
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag
 from crankorder.settings import MethodNumbers, OrderSettings, Settings

@@ -16,7 +16,7 @@ from scipy.special import gammaincc, stdtr
 from crankorder.cause import Cause
 from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
-from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, excess_scatter, half_width, known_freedom, root
+from crankorder.orders.intervals import ENDLESS_FREEDOM, Z95, excess_scatter, half_width, known_freedom, root
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 

@@ -11,8 +11,8 @@ import xarray as xr
 from crankorder.cause import Cause, CauseKind
 from crankorder.engine.machine_parts import MotorLine
 from crankorder.identify.found import AgreedOrder, ModalFit
-from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of
+from crankorder.orders.intervals import half_width
 from crankorder.orders.joint_lines import LOBE_BINS, Band, HeldFrames, Place, Sighting, joint_lines
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.quantities import Floats

@@ -13,9 +13,9 @@ from scipy.special import exp1
 
 from crankorder.findings import Lock
 from crankorder.identify.found import Doubt, OrderLine
-from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.zoom import NUMBERS as ZOOM
 from crankorder.identify.lines.zoom import Course, Frames, Zoomed, course_of, drift_turn_rev, zoomed
+from crankorder.orders.intervals import half_width
 from crankorder.orders.joint_lines import Band, HeldFrames, Place, hann_lobe, joint_lines
 from crankorder.orders.like_speed import common_frames
 from crankorder.quantities import Complexes, Floats, flags_of

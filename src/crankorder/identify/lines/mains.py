@@ -15,11 +15,11 @@ from crankorder.findings import Motor as MotorRecord
 from crankorder.findings import MotorLine as LineRecord
 from crankorder.findings import MotorSpeed
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, Tone
-from crankorder.identify.intervals import Z95, positive_interval, size_interval
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.known_lines import LineSeen, found_near, named_by, sightings
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
+from crankorder.orders.intervals import Z95, positive_interval, size_interval
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.orders.joint_lines import HeldFrames, Place, Sighting
 from crankorder.quantities import Bools, Floats

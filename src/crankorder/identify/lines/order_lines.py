@@ -11,7 +11,6 @@ import xarray as xr
 from scipy.special import chdtrc
 
 from crankorder.identify.found import UNRESOLVED, Doubt, Evidence, OrderLine
-from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import remark_on
 from crankorder.identify.lines.line_evidence import (
     LOWEST_BINS,
@@ -28,6 +27,7 @@ from crankorder.identify.lines.line_evidence import (
 from crankorder.identify.lines.line_phasors import Phasors, Recording, any_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.orders.averages import HeldSizes, SizeRows
+from crankorder.orders.intervals import half_width
 from crankorder.orders.joint_lines import hann_lobe
 from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map

@@ -9,12 +9,12 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import OrderLine
-from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.known_lines import held_recordings
 from crankorder.identify.lines.line_phasors import Recording
 from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
 from crankorder.identify.lines.order_lines import largest_within
+from crankorder.orders.intervals import Z95
 from crankorder.orders.joint_lines import LOBE_BINS, Band, HeldFrames, JointLines, Place, Sighting, joint_lines
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.quantities import Bools, Floats, Ints

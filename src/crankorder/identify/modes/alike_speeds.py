@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, AgreedOrders, Doubt, ModalFit, Tone
-from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.known_lines import LineSeen, found_near
 from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple
@@ -22,6 +21,7 @@ from crankorder.identify.lines.several_orders import (
     unparted_reach,
 )
 from crankorder.identify.modes.tones import NEAR_BINS, times_mains, with_one_mains
+from crankorder.orders.intervals import Z95
 from crankorder.orders.joint_lines import LOBE_BINS, HeldFrames, Place, Sighting
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.settings import IdentifySettings

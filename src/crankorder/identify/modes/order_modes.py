@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crankorder.identify.found import Mode, Tone
-from crankorder.identify.intervals import Z95
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block, Projected, as_real, jacobian, project
 from crankorder.identify.modes.surface_fit import Poles
+from crankorder.orders.intervals import Z95
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 

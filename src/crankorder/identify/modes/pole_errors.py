@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crankorder.identify.intervals import Z95, half_widths
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block, Projected, jacobian
 from crankorder.identify.modes.surface_fit import Poles, Problem, SurfaceFit, inverse_curvature
+from crankorder.orders.intervals import Z95, half_widths
 from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 

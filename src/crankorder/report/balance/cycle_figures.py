@@ -37,11 +37,12 @@ from crankorder.engine.hinged_crank import (
     potential_torque,
     torque_extrema,
 )
+from crankorder.plot.drawing import Box
 from crankorder.plot.painter import axes_at, house_style, new_figure, quiet_frame, title_lines, write
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, drawable
 from crankorder.plot.reading import number_text
 from crankorder.quantities import Floats
-from crankorder.report.balance.look import Box, color_key, cross_hairs, frame_around
+from crankorder.report.balance.force_figures import color_key, cross_hairs, frame_around
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.35, 1.1, 0.62, 0.95  # inches
