@@ -24,15 +24,10 @@ from crankorder.errors import RequestError
 
 IDEAL = {"compression_ratio": 9.5, "intake_pa": 8e4, "heat_j": 900.0, "exponent": 1.35, "exhaust_pa": 1.1e5}
 DATA: dict[str, Any] = {
-    "crank_radius_m": 0.043,
-    "rod_length_m": 0.141,
-    "reciprocating_mass_kg": 0.6,
-    "rotating_unbalance_kg_m": 0.006,
-    "rotating_unbalance_deg": 20.0,
-    "rod": {"mass_kg": 0.55, "centre_from_big_end_m": 0.04, "inertia_kg_m2": 0.002},
-    "bore_m": 0.086,
-    "gas": {"ideal": IDEAL},
-}
+    "crank_radius_m": 0.043, "rod_length_m": 0.141, "reciprocating_mass_kg": 0.6, "rotating_unbalance_kg_m": 0.006,
+    "rotating_unbalance_deg": 20.0, "rod": {"mass_kg": 0.55, "centre_from_big_end_m": 0.04, "inertia_kg_m2": 0.002},
+    "bore_m": 0.086, "gas": {"ideal": IDEAL},
+}  # fmt: skip
 
 
 def engine(**differences):
@@ -183,11 +178,9 @@ def newton_euler(model, turned, omega, gas_n):
     rotating = model.rotating_unbalance_kg_m * np.array([math.cos(rest), math.sin(rest)])
     rotating = rotating - m.mass_kg * (1 - a / rod) * pin
     return {
-        "crank_pin_n": -solved[:2],
-        "piston_pin_n": -solved[2:4],
-        "wall_n": np.array([-solved[4]]),
+        "crank_pin_n": -solved[:2], "piston_pin_n": -solved[2:4], "wall_n": np.array([-solved[4]]),
         "main_n": -solved[:2] + omega**2 * rotating,
-    }
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(8))

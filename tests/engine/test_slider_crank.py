@@ -68,12 +68,10 @@ def decimal_motion(revolutions, mechanism):
     across, slope = radius * sine - offset, radius * cosine
     along, top = (rod * rod - across * across).sqrt(), (rod * rod - offset * offset).sqrt()
     return {
-        "drop": radius + top - radius * cosine - along,
-        "velocity": -radius * sine - across * slope / along,
-        "rod_sine": across / rod,
-        "rod_first": slope / along,
+        "drop": radius + top - radius * cosine - along, "velocity": -radius * sine - across * slope / along,
+        "rod_sine": across / rod, "rod_first": slope / along,
         "rod_second": -radius * sine / along + across * slope**2 / along**3,
-    }
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("slack", [0.7, 1e-2, 1e-6, 1e-12])
@@ -84,12 +82,9 @@ def test_position_velocity_and_rod_angle_keep_their_own_digits_however_short_the
     exact = [decimal_motion(float(angle), mechanism) for angle in angles]
     psi, first, second = rod_angle(angles, mechanism)
     computed = {
-        "drop": piston_drop(angles, mechanism),
-        "velocity": piston_velocity(angles, mechanism),
-        "rod_sine": np.sin(psi),
-        "rod_first": first,
-        "rod_second": second,
-    }
+        "drop": piston_drop(angles, mechanism), "velocity": piston_velocity(angles, mechanism), "rod_sine": np.sin(psi),
+        "rod_first": first, "rod_second": second,
+    }  # fmt: skip
     for name, values in computed.items():
         known = np.array([float(row[name]) for row in exact])
         sizes = np.where(np.abs(known) < 1e-40, 1.0, np.abs(known))  # an exact zero has no relative error

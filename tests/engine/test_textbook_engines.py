@@ -220,16 +220,13 @@ def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed):
     draw = np.random.default_rng(seed)
     cylinders = [
         {
-            "crank_deg": float(draw.uniform(-360, 360)),
-            "bank_deg": float(draw.uniform(-180, 180)),
-            "position_m": float(draw.uniform(-0.3, 0.3)),
-            "reciprocating_mass_kg": float(draw.uniform(0.2, 0.9)),
+            "crank_deg": float(draw.uniform(-360, 360)), "bank_deg": float(draw.uniform(-180, 180)),
+            "position_m": float(draw.uniform(-0.3, 0.3)), "reciprocating_mass_kg": float(draw.uniform(0.2, 0.9)),
             "rotating_unbalance_kg_m": float(draw.uniform(0, 0.02)),
-            "rotating_unbalance_deg": float(draw.uniform(0, 360)),
-            "offset_m": float(draw.uniform(-0.02, 0.02)),
+            "rotating_unbalance_deg": float(draw.uniform(0, 360)), "offset_m": float(draw.uniform(-0.02, 0.02)),
         }
         for _ in range(draw.integers(1, 9))
-    ]
+    ]  # fmt: skip
 
     def weights(n):
         return [
@@ -281,18 +278,11 @@ def test_a_design_takes_any_order_asked_for(order):
 @pytest.mark.parametrize(
     ("name", "force", "couple"),
     [
-        ("inline-3", None, 0.5),
-        ("inline-5", None, 0.5),
-        ("inline-2, 180°", None, 0.5),
-        ("inline-2, 360°", 0.5, None),
-        ("v8, 90°, cross", None, 1.0),
-        ("v6, 90°, common pins", None, 1.0),
-        ("v6, 60°, pins split by 60°", None, 0.5),
-        ("v-twin, 60°", 2 / 3, None),
-        ("v-twin, 90°", 1.0, 0.0),
-        ("radial-7", 1.0, None),
+        ("inline-3", None, 0.5), ("inline-5", None, 0.5), ("inline-2, 180°", None, 0.5), ("inline-2, 360°", 0.5, None),
+        ("v8, 90°, cross", None, 1.0), ("v6, 90°, common pins", None, 1.0), ("v6, 60°, pins split by 60°", None, 0.5),
+        ("v-twin, 60°", 2 / 3, None), ("v-twin, 90°", 1.0, 0.0), ("radial-7", 1.0, None),
     ],
-)
+)  # fmt: skip
 def test_crank_webs_take_the_share_that_turns_with_the_crank(name, force, couple):
     shares = primary_shares(engine(ENGINES[name][0]))
     for found, known in ((shares.force, force), (shares.couple, couple)):

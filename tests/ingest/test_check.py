@@ -95,12 +95,10 @@ def test_rates_of_two_places_that_differ_are_told(tmp_path, limits):
     rows = [
         ({"rate_hz": 51_200.0}, {"fs": 50_000.0}, 50_000.0, True),
         ({"dt": 1 / 51_200.0}, {"fs": 50_000.0}, 50_000.0, True),
-        ({"rate_hz": 50_000.0}, {"dt": 2e-5}, 50_000.0, False),
-        ({"SampleRate": "51.2 kHz"}, {}, 51_200.0, False),
-        ({"SampleRate": "51.2 kHz"}, {"fs": 50_000.0}, 50_000.0, True),
-        ({"dt": b"20 us"}, {}, 50_000.0, False),
+        ({"rate_hz": 50_000.0}, {"dt": 2e-5}, 50_000.0, False), ({"SampleRate": "51.2 kHz"}, {}, 51_200.0, False),
+        ({"SampleRate": "51.2 kHz"}, {"fs": 50_000.0}, 50_000.0, True), ({"dt": b"20 us"}, {}, 50_000.0, False),
         ({"rate_hz": "unknown"}, {}, None, False),
-    ]
+    ]  # fmt: skip
     for of_file, of_data, rate_hz, told in rows:
         raw = read_file(stored(tmp_path / "a.h5", TONE, of_file, **of_data), sources=["a"], settings=limits)
         assert raw.rates_hz.get("a") == (None if rate_hz is None else pytest.approx(rate_hz))

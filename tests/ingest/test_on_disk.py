@@ -39,14 +39,11 @@ def assert_same(whole, blocks):
 @pytest.mark.parametrize(
     "stored",
     [
-        {"dtype": "<i2"},
-        {"dtype": "<f4"},
-        {"dtype": ">f8"},
-        {"dtype": "<i4", "chunks": (N,)},
+        {"dtype": "<i2"}, {"dtype": "<f4"}, {"dtype": ">f8"}, {"dtype": "<i4", "chunks": (N,)},
         {"dtype": "<f4", "chunks": (10_007,), "compression": "gzip"},
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_hdf5_columns_are_the_same_on_disk(tmp_path, limits, stored):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for name, values in zip("abc", NOISE, strict=True):

@@ -88,13 +88,10 @@ def test_columns_that_start_at_different_times_are_laid_on_one_clock(tmp_path, s
 @pytest.mark.parametrize(
     ("write", "how"),
     [
-        (as_tdms, {"by_date": False}),
-        (as_hdf5, {"key": "wf_start_time"}),
-        (as_hdf5, {"key": "t0"}),
-        (as_hdf5, {"key": "start_time"}),
-        (as_lvm_of_one_segment, {}),
+        (as_tdms, {"by_date": False}), (as_hdf5, {"key": "wf_start_time"}), (as_hdf5, {"key": "t0"}),
+        (as_hdf5, {"key": "start_time"}), (as_lvm_of_one_segment, {}),
     ],
-)
+)  # fmt: skip
 def test_a_start_is_read_wherever_the_format_states_it(tmp_path, settings, write, how):
     columns = [vibration("acc", 2000.0, 6.0), tacho(2000.0, 6.0, 0.02)]
     recording, flags = joined(tmp_path, settings, columns, write=write, **how)

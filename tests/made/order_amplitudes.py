@@ -143,14 +143,12 @@ def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> x
     dims = ("channel", "speed", "order")
     return xr.Dataset(
         {
-            "coherent_amplitude": (dims, np.abs(amplitude)),
-            "phase": (dims, np.degrees(np.angle(amplitude))),
-            "standard_error": (dims, error),
-            "degrees_of_freedom": (dims, np.array(freedom)),
+            "coherent_amplitude": (dims, np.abs(amplitude)), "phase": (dims, np.degrees(np.angle(amplitude))),
+            "standard_error": (dims, error), "degrees_of_freedom": (dims, np.array(freedom)),
         },
         coords={**named("XYZ"[: len(amplitude)]), "speed": rpm, "order": order},
         attrs={"phase_reference": reference, "cycle_known": 1, "revs_per_cycle": 2},
-    )
+    )  # fmt: skip
 
 
 def modal_of(rng, structure, *, frequency_error=3e-4, damping_error=0.03) -> ModalFit:

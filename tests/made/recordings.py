@@ -66,13 +66,10 @@ def shaft(time_s: np.ndarray, angle_rev: np.ndarray, speed_rpm: np.ndarray, *, r
             "time": ("knot", time_s, {"units": "s"}),
         },
         attrs={
-            "recording": "made",
-            "phase_reference": "tdc",
-            "cycle_known": 1,
-            "revs_per_cycle": revs_per_cycle,
+            "recording": "made", "phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": revs_per_cycle,
             "n_pulses": 0,
         },
-    )
+    )  # fmt: skip
     check_dataset(made, "shaft_angle")
     return made
 

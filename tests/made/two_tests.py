@@ -86,15 +86,13 @@ def stated(name: str, channels: Sequence[str] = ("A",)) -> dict[str, Any]:
         "inputs": [{"name": f"{name}.h5", "sha256": name.encode().hex().rjust(64, "0")[-64:], "bytes": 1}],
         "manifest": {
             "test": {"cycle": "rotor", "name": name, "engine": None},
-            "sampling": {"domain": "time", "rate_hz": RATE_HZ},
-            "channels": columns,
-            "encoder": {"kind": "square", "pulses_per_rev": 60},
-            "bearings": [],
+            "sampling": {"domain": "time", "rate_hz": RATE_HZ}, "channels": columns,
+            "encoder": {"kind": "square", "pulses_per_rev": 60}, "bearings": [],
         },
         "engine": None,
         "settings": json.loads(SETTINGS.model_dump_json()),
         "quality": [],
-    }
+    }  # fmt: skip
 
 
 def written(test: Tested, out: Path) -> Path:

@@ -29,11 +29,9 @@ def decoded(pulse_s, pulses_per_rev, *, noise_s, edge_step_s=0.0):
         pulse_s, np.arange(pulse_s.size), teeth_per_rev=pulses_per_rev, noise_s=noise_s, settings=SETTINGS
     )
     values = {
-        "time": (knots.time_s, "s"),
-        "crank_angle": (knots.angle_rev, "rev"),
-        "speed": (knots.speed_rpm, "min-1"),
+        "time": (knots.time_s, "s"), "crank_angle": (knots.angle_rev, "rev"), "speed": (knots.speed_rpm, "min-1"),
         "standard_error": (knots.standard_error_rev, "rev"),
-    }
+    }  # fmt: skip
     attrs = {
         "recording": "made", "phase_reference": "none", "cycle_known": 0, "revs_per_cycle": 2,
         "n_pulses": pulse_s.size, "teeth_per_rev": float(pulses_per_rev), "cut_off_order": knots.cut_off_order,
