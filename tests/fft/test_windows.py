@@ -8,15 +8,7 @@ import pytest
 import scipy.fft
 
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
-from crankorder.fft.windows import (
-    NAMES,
-    blackman_harris,
-    flat_top,
-    hann,
-    kaiser,
-    rectangular,
-    window_named,
-)
+from crankorder.fft.windows import NAMES, blackman_harris, flat_top, hann, kaiser, rectangular, window_named
 
 
 def test_windows_have_the_figures_of_their_authors():

@@ -388,15 +388,7 @@ def test_drift_of_the_speed_leaves_no_pattern_and_touches_no_order():
 # Swing of the speed within the cycle, against the motion that was put in and a real engine.
 
 
-def swinging(
-    lines,
-    *,
-    rpm=1500.0,
-    per_rev=30,
-    seconds=3.0,
-    slope=0.0,
-    noise_rpm=0.0,
-):
+def swinging(lines, *, rpm=1500.0, per_rev=30, seconds=3.0, slope=0.0, noise_rpm=0.0):
     """ShaftAngle with a speed of ``rpm`` + ``slope`` t and ``lines`` (order: peak in rpm) by the angle."""
     rng = np.random.default_rng(4)
     shares = [(order, 100.0 * size / rpm, rng.uniform(0.0, 360.0)) for order, size in lines.items()]

@@ -22,15 +22,7 @@ RATE_HZ = 4096.0
 Motion = Callable[[np.ndarray], np.ndarray]
 
 
-def vibration(
-    angle_rev,
-    duration_s,
-    *,
-    orders,
-    noise=0.35,
-    tones=None,
-    seed=1,
-):
+def vibration(angle_rev, duration_s, *, orders, noise=0.35, tones=None, seed=1):
     """One channel of orders ``{order: amplitude}`` in white noise of the given standard deviation, with tones [Hz]."""
     time_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     signal = noise * np.random.default_rng(seed).standard_normal(time_s.size)

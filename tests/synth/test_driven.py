@@ -61,13 +61,7 @@ def plain_force(phi, omega, alpha, gas_gain=1.0):
     return masses + PUSHES[:, 0] @ (grown * cosine) + PUSHES[:, 1] @ (grown * sine)
 
 
-def integrated(
-    force_of_time,
-    sample_s,
-    *,
-    borders_s,
-    start,
-):
+def integrated(force_of_time, sample_s, *, borders_s, start):
     """Channels at ``sample_s``: q̈ + 2ζω q̇ + ω² q = drive·f from border to border, DOP853 with 1e-13."""
     found, state = [], start
     for begin, end in pairwise(borders_s):
@@ -208,13 +202,7 @@ def test_gains_step_between_cycles_to_the_very_angle(corners):
     expected = integrated(
         force, times, borders_s=tuple(sorted(set(inner))), start=steady_start(corners[0][1], at(-past_s)[0])
     )
-    found = driven_signal(
-        POLES,
-        [(lines(gas=True), motion)],
-        rate_hz=RATE_HZ,
-        n_samples=600,
-        gain_of_cycle=factor,
-    )
+    found = driven_signal(POLES, [(lines(gas=True), motion)], rate_hz=RATE_HZ, n_samples=600, gain_of_cycle=factor)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 

@@ -11,13 +11,7 @@ from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.wheel import number_teeth
-from crankorder.synth.encoder import (
-    encoder_signals,
-    encoder_turn,
-    passed_pulses,
-    sampled_encoder,
-    wheel_of,
-)
+from crankorder.synth.encoder import encoder_signals, encoder_turn, passed_pulses, sampled_encoder, wheel_of
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import DamagedLine, DoublePulses, Encoder, LostPulses
 from made.recordings import sampled as recording_of
