@@ -247,10 +247,8 @@ def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_
         assert model.gas is not None
         assert model.gas.pressure_pa == (1e5, 3e6, 4e6, 2e5)
     for wrong, says in (
-        (rows.replace("3e6", "high"), "high"),
-        (rows.replace("pressure_pa", "bar"), "bar"),
-        ("", "no rows"),
-    ):
+        (rows.replace("3e6", "high"), "high"), (rows.replace("pressure_pa", "bar"), "bar"), ("", "no rows"),
+    ):  # fmt: skip
         (tmp_path / "p.csv").write_text(wrong)
         with pytest.raises(RequestError, match=says):
             load_engine("it.toml", beside=tmp_path)

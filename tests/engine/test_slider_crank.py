@@ -248,12 +248,9 @@ def test_a_sum_of_the_orders_for_a_tolerance_meets_it(offset_m, tolerance):
 def test_what_cannot_be_asked_is_refused():
     mechanism = SliderCrank(crank_radius_m=0.3, rod_length_m=1.0)
     for ask in (
-        lambda: even_harmonics(3, 1.0),
-        lambda: even_harmonics(-1, 0.3),
-        lambda: acceleration_harmonics(mechanism, 0),
-        lambda: orders_for(0.0, mechanism),
-        lambda: rod_acceleration_harmonics(mechanism, 0),
+        lambda: even_harmonics(3, 1.0), lambda: even_harmonics(-1, 0.3), lambda: acceleration_harmonics(mechanism, 0),
+        lambda: orders_for(0.0, mechanism), lambda: rod_acceleration_harmonics(mechanism, 0),
         lambda: orders_for(1e-6, SliderCrank(crank_radius_m=1 - 1e-9, rod_length_m=1.0)),
-    ):
+    ):  # fmt: skip
         with pytest.raises(RequestError):
             ask()

@@ -38,15 +38,13 @@ def test_every_fault_of_a_folder_is_listed_at_once(tmp_path, limits):
     before = sorted((path.name, path.stat().st_mtime_ns, path.read_bytes()) for path in tmp_path.iterdir())
     text = "\n".join(str(fault) for fault in check_folder(tmp_path, settings=limits))
     for words in (
-        "absent.h5: no such file",
-        "outside the run folder",
+        "absent.h5: no such file", "outside the run folder",
         "recordings.speed_rpm.good.h6: a speed is stated for no recording. Did you mean 'good.h5'?",
         "rate.h5: the sampling rate is 1024 Hz in the file, 1000 Hz in the manifest",
         "channel.h5: channel acc not in file; has a1",
         "unit.h5: source acc: channel Z: Pa (pressure) cannot become m/s2 (acceleration)",
-        "text.h5: is text, though its name ends in .h5",
-        "encoder.kind: nothing tells the speed",
-    ):
+        "text.h5: is text, though its name ends in .h5", "encoder.kind: nothing tells the speed",
+    ):  # fmt: skip
         assert words in text
     assert len(text.split("\n")) == 8
     assert before == sorted((path.name, path.stat().st_mtime_ns, path.read_bytes()) for path in tmp_path.iterdir())
