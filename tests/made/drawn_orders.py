@@ -130,14 +130,11 @@ def drawn_machine(
         drive = 0.5 * r.normal(size=modes) * np.exp(0.1j * r.normal(size=modes)) * np.exp(2j * np.pi * r.random())
         orders.append(
             DrawnOrder(
-                order=order,
-                still=0.3 if smooth else 0.0,
-                power=float(r.uniform(0.0, 2.5)) if smooth else 2.0,
+                order=order, still=0.3 if smooth else 0.0, power=float(r.uniform(0.0, 2.5)) if smooth else 2.0,
                 turn=float(0.3 * r.normal()) if smooth else 0.0,
-                rigid=0.5 * r.normal(size=len(CHANNELS)) * np.exp(2j * np.pi * r.random()),
-                residue=shape * drive,
+                rigid=0.5 * r.normal(size=len(CHANNELS)) * np.exp(2j * np.pi * r.random()), residue=shape * drive,
             )
-        )
+        )  # fmt: skip
     return DrawnMachine(
         natural_hz=natural, damping=zeta, speed_rpm=speed, orders=tuple(orders), error=error,
         scatter=float(r.choice(scatter)),

@@ -45,16 +45,11 @@ def drawn(
     if slip:
         slips[int(rng.choice(np.flatnonzero(orders >= 2.0)))] = slip
     return SweptMachine(
-        orders=orders,
-        size=np.exp(rng.uniform(np.log(0.1), 0.0, len(orders))),
-        slip=slips,
+        orders=orders, size=np.exp(rng.uniform(np.log(0.1), 0.0, len(orders))), slip=slips,
         natural_hz=np.sort(np.exp(rng.uniform(np.log(25.0), np.log(500.0), n_modes))),
-        damping=np.exp(rng.uniform(np.log(0.003), np.log(0.08), n_modes)),
-        shares=rng.normal(size=(3, n_modes)),
-        rpm=rpm,
-        duration_s=duration_s,
-        noise=0.02,
-    )
+        damping=np.exp(rng.uniform(np.log(0.003), np.log(0.08), n_modes)), shares=rng.normal(size=(3, n_modes)),
+        rpm=rpm, duration_s=duration_s, noise=0.02,
+    )  # fmt: skip
 
 
 def recorded(machine: SweptMachine, rng: np.random.Generator) -> tuple[xr.Dataset, xr.Dataset]:

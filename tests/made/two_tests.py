@@ -79,9 +79,7 @@ def stated(name: str, channels: Sequence[str] = ("A",)) -> dict[str, Any]:
     """What run.json states of a made test."""
     columns = [{"name": c, "unit": "m/s2", "quantity": "acceleration", "sensitivity": None} for c in channels]
     return {
-        "schema_version": 1,
-        "test": name,
-        "code_sha256": "0" * 64,
+        "schema_version": 1, "test": name, "code_sha256": "0" * 64,
         "versions": {"crankorder": "0.1.0", "numpy": "2.4.6"},
         "inputs": [{"name": f"{name}.h5", "sha256": name.encode().hex().rjust(64, "0")[-64:], "bytes": 1}],
         "manifest": {
@@ -89,9 +87,7 @@ def stated(name: str, channels: Sequence[str] = ("A",)) -> dict[str, Any]:
             "sampling": {"domain": "time", "rate_hz": RATE_HZ}, "channels": columns,
             "encoder": {"kind": "square", "pulses_per_rev": 60}, "bearings": [],
         },
-        "engine": None,
-        "settings": json.loads(SETTINGS.model_dump_json()),
-        "quality": [],
+        "engine": None, "settings": json.loads(SETTINGS.model_dump_json()), "quality": [],
     }  # fmt: skip
 
 

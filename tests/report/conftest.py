@@ -191,12 +191,9 @@ def _findings(tracks, channels, unit, quantity, name):
         "verdict": "present, the same at all speeds",
     }  # fmt: skip
     return {
-        "schema_version": 1,
-        "test": name,
+        "schema_version": 1, "test": name,
         "channels": [{"name": channel, "unit": unit, "quantity": quantity} for channel in channels],
-        "orders": _order_records(tracks, unit),
-        "modes": _mode_records(channels),
-        "crossings": crossings,
+        "orders": _order_records(tracks, unit), "modes": _mode_records(channels), "crossings": crossings,
         "bearings": [bearing] if 5.5 in tracks.order.values else [],
         "lines": [
             {"channel": channels[0], "frequency_hz": 300.0, "explained_by": "mains", "amplitude": 0.01, "unit": unit},
@@ -212,7 +209,7 @@ def _findings(tracks, channels, unit, quantity, name):
             {"recording": "rpm_0450.h5", "flag": "clipped", "severity": "suspect", "detail": "0.4 % of channel X"},
             {"recording": "rpm_0900.h5", "flag": "encoder_missing_pulse", "severity": "info", "detail": "1 repaired"},
         ],
-    }
+    }  # fmt: skip
 
 
 def drawn_test(

@@ -164,14 +164,10 @@ def test_a_recording_that_states_no_wheel_is_decoded_by_the_one_found_and_says_s
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
-    name=st.sampled_from([*WHEELS, "60", "12", "1"]),
-    start_rev=st.floats(0.0, 1.0),
-    start_rpm=st.floats(150.0, 6000.0),
-    ratio=st.floats(0.3, 3.0),
-    irregularity=st.floats(0.0, 0.08),
-    jitter=st.floats(0.0, 0.02),
+    name=st.sampled_from([*WHEELS, "60", "12", "1"]), start_rev=st.floats(0.0, 1.0), start_rpm=st.floats(150.0, 6000.0),
+    ratio=st.floats(0.3, 3.0), irregularity=st.floats(0.0, 0.08), jitter=st.floats(0.0, 0.02),
     seed=st.integers(0, 2**31),
-)
+)  # fmt: skip
 def test_every_wheel_is_laid_on_its_pulses_without_a_repair(
     name, start_rev, start_rpm, ratio, irregularity, jitter, seed
 ):
