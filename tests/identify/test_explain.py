@@ -61,11 +61,9 @@ FIRING, TWO_STROKE = (dataclasses.replace(of, **{key: True}) for of, key in ((EN
 JACK = dataclasses.replace(ENGINE, bearings=(JACK_SHAFT,))
 HALF, KINEMATICS, HARMONIC = "half order of the four-stroke cycle", "engine kinematics", "shaft harmonic"
 FOLD = ShownAlias(
-    Alias(7200.0, np.arange(3), 1e-4, "lines are one of 7200 Hz folded"),
-    SPEEDS_RPM,
-    np.full(SPEEDS_RPM.size, 7.31),
+    Alias(7200.0, np.arange(3), 1e-4, "lines are one of 7200 Hz folded"), SPEEDS_RPM, np.full(SPEEDS_RPM.size, 7.31),
     0.02,
-)
+)  # fmt: skip
 PRESSURE = {"quantity": "pressure", "unit": "bar"}
 TEXTS = [
     # the moving masses, whose orders do not slip

@@ -93,13 +93,11 @@ def test_a_recording_on_disk_is_the_one_in_memory(tmp_path, manifest_of, setting
         file["enc"] = (np.arange(N) % 40 < 20).astype(np.uint8)
     made = [
         read_recording(
-            tmp_path / "a.h5",
-            manifest_of(tables),
-            settings=settings.ingest.model_copy(update={"in_memory_bytes": n_bytes}),
-            shaft=settings.shaft,
+            tmp_path / "a.h5", manifest_of(tables),
+            settings=settings.ingest.model_copy(update={"in_memory_bytes": n_bytes}), shaft=settings.shaft,
         )
         for n_bytes in (10**9, 0)
-    ]
+    ]  # fmt: skip
     assert [is_on_disk(recording["signal"].values) for recording in made] == [False, True]
     assert made[0].identical(made[1])
 

@@ -223,11 +223,9 @@ def drawn_test(
     coords = named(channels, unit, quantity)
     tracks = _tracks(speeds, coords, orders, gain)
     drawn = DrawnTest(
-        _campbell(speeds, coords, orders, gain),
-        _order_map(speeds, coords, gain),
-        tracks,
+        _campbell(speeds, coords, orders, gain), _order_map(speeds, coords, gain), tracks,
         _findings(tracks, channels, unit, quantity, name),
-    )
+    )  # fmt: skip
     for dataset, noun in ((drawn.campbell, "campbell_map"), (drawn.order_map, "order_map"), (tracks, "order_tracks")):
         check_dataset(dataset, noun)
     return drawn

@@ -149,11 +149,9 @@ def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft, pu
 @pytest.mark.parametrize("pulses_per_rev", [60, 6, 1])
 def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft, pulses_per_rev):
     dataset = decoded(
-        rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(pulses_per_rev) + 3e-6),
-        pulses_per_rev,
-        noise_s=12**-0.5 / RATE_HZ,
-        edge_step_s=1 / RATE_HZ,
-    )
+        rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(pulses_per_rev) + 3e-6), pulses_per_rev,
+        noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ,
+    )  # fmt: skip
     step = audit_of(dataset).causes[2]
     assert step.tone_rev.size == 0
     # an edge may be off by half a sample, which is 0.06° at 1000 rpm

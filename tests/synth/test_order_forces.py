@@ -33,14 +33,10 @@ ORDERS = (0.5, 1.0, 1.5, 2.0, 4.0, 20.0, 5.37, -1.0, 0.0, 33.5, 2.0)
 def some_lines(order=ORDERS, **changes):
     n = len(order)
     parts = {
-        "order": np.array(order),
-        "amplitude": RNG.normal(size=(6, n)) + 1j * RNG.normal(size=(6, n)),
-        "at_speed_rpm": np.linspace(800.0, 1200.0, n),
-        "exponent": np.linspace(0.0, 3.0, n),
-        "inertia": np.zeros(n, dtype=bool),
-        "gas": np.arange(n) % 3 == 1,
-        "cause": tuple(f"line {k}" for k in range(n)),
-    }
+        "order": np.array(order), "amplitude": RNG.normal(size=(6, n)) + 1j * RNG.normal(size=(6, n)),
+        "at_speed_rpm": np.linspace(800.0, 1200.0, n), "exponent": np.linspace(0.0, 3.0, n),
+        "inertia": np.zeros(n, dtype=bool), "gas": np.arange(n) % 3 == 1, "cause": tuple(f"line {k}" for k in range(n)),
+    }  # fmt: skip
     return ForceLines(**(parts | changes))
 
 

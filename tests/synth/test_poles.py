@@ -28,12 +28,9 @@ def test_a_filter_in_series_multiplies_the_response():
 def test_a_mode_on_a_pole_of_the_filter_is_refused():
     filter = low_pass(2, 60.0)
     mode = Structure(
-        frequency_hz=np.array([60.0]),
-        damping_ratio=np.array([np.sqrt(0.5)]),
-        sensor_per_kg=np.ones((1, 1)),
-        drive=np.ones((1, 6)),
-        rigid_body_per_kg=np.zeros((1, 6)),
-    )
+        frequency_hz=np.array([60.0]), damping_ratio=np.array([np.sqrt(0.5)]), sensor_per_kg=np.ones((1, 1)),
+        drive=np.ones((1, 6)), rigid_body_per_kg=np.zeros((1, 6)),
+    )  # fmt: skip
     with pytest.raises(RequestError, match="same pole; found 60 Hz"):
         poles_of(mode, filter)
 
