@@ -101,18 +101,10 @@ class DrawnMachine:
 
 
 def drawn_machine(
-    seed: int,
-    *,
-    n_speeds: tuple[int, int] = (30, 60),
-    span_rpm: tuple[float, float] = (2000.0, 4000.0),
-    n_orders: tuple[int, int] = (2, 7),
-    n_modes: tuple[int, int] = (1, 5),
-    damping: tuple[float, float] = (0.003, 0.05),
-    scatter: tuple[float, ...] = (0.0005, 0.005, 0.02),
-    error: float = 0.003,
-    even: bool = True,
-    smooth: bool = True,
-) -> DrawnMachine:
+    seed: int, *, n_speeds: tuple[int, int] = (30, 60), span_rpm: tuple[float, float] = (2000.0, 4000.0),
+    n_orders: tuple[int, int] = (2, 7), n_modes: tuple[int, int] = (1, 5), damping: tuple[float, float] = (0.003, 0.05),
+    scatter: tuple[float, ...] = (0.0005, 0.005, 0.02), error: float = 0.003, even: bool = True, smooth: bool = True,
+) -> DrawnMachine:  # fmt: skip
     """A machine of ``seed``: its numbers drawn between the given ends; speeds ``even``, or anywhere.
 
     Forces follow some smooth law of the speed, or (``smooth`` false) its square.

@@ -15,14 +15,9 @@ SPEEDS_RPM = np.arange(600.0, 2001.0, 50.0)
 
 
 def line(
-    order: float,
-    amplitude: Any = 1.0,
-    *,
-    channel: str = "A",
-    speed_rpm: Any = SPEEDS_RPM,
-    error: float = 0.01,
+    order: float, amplitude: Any = 1.0, *, channel: str = "A", speed_rpm: Any = SPEEDS_RPM, error: float = 0.01,
     order_error: float = 1e-4,
-) -> OrderLine:
+) -> OrderLine:  # fmt: skip
     """An order line with the ``amplitude`` (one or one per speed) and its standard ``error``."""
     speed = np.asarray(speed_rpm, dtype=np.float64)
     n = speed.size

@@ -59,22 +59,9 @@ class Structure:
 
 
 def made_orders(
-    rng,
-    *,
-    residual_kg,
-    engine=None,
-    n_channels=3,
-    speeds=None,
-    noise=1.0,
-    freedom=(8.0, 24.0),
-    moments=False,
-    rotating_kg_m=0.0,
-    rotating_deg=0.0,
-    extra=None,
-    structure=None,
-    rpm_error=None,
-    seen=(1, 2, 3, 4),
-) -> MadeOrders:
+    rng, *, residual_kg, engine=None, n_channels=3, speeds=None, noise=1.0, freedom=(8.0, 24.0), moments=False,
+    rotating_kg_m=0.0, rotating_deg=0.0, extra=None, structure=None, rpm_error=None, seen=(1, 2, 3, 4),
+) -> MadeOrders:  # fmt: skip
     """Orders of ``engine`` with ``residual_kg`` left by its shafts; ``extra``: {order: (axis, newtons at 1000 rpm)}."""
     engine = engine_of() if engine is None else engine
     structure = Structure(rng, n_channels=n_channels) if structure is None else structure

@@ -137,15 +137,9 @@ def swept_up(made: Structure, seed: int, *, seconds: float) -> xr.Dataset:
 
 
 def drawn(
-    seed: int,
-    *,
-    n_speeds: int,
-    n_modes: int | None = None,
-    lowest_hz: float = 25.0,
-    highest_hz: float = 450.0,
-    damping: tuple[float, float] = (0.002, 0.1),
-    orders: str = "some",
-) -> Structure:
+    seed: int, *, n_speeds: int, n_modes: int | None = None, lowest_hz: float = 25.0, highest_hz: float = 450.0,
+    damping: tuple[float, float] = (0.002, 0.1), orders: str = "some",
+) -> Structure:  # fmt: skip
     """Random structure of ``seed``: modes no nearer than six times the mean of their half widths.
 
     ``orders``: "none", "some" or, as an engine's, "all" half orders up to 12.

@@ -30,13 +30,9 @@ class SweptMachine:
 
 
 def drawn(
-    rng: np.random.Generator,
-    *,
-    rpm: tuple[float, float] = (600.0, 6000.0),
-    duration_s: float = 8.0,
-    slip: float = 0.0,
+    rng: np.random.Generator, *, rpm: tuple[float, float] = (600.0, 6000.0), duration_s: float = 8.0, slip: float = 0.0,
     modes: int | None = None,
-) -> SweptMachine:
+) -> SweptMachine:  # fmt: skip
     """A machine of 1 to 6 modes and three to five orders; one of these slips by the share ``slip`` if that is not 0."""
     n_modes = int(rng.integers(1, 7)) if modes is None else modes
     numbers = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 3.5, 4.0, 5.5, 6.0, 8.0, 9.0])

@@ -27,16 +27,10 @@ Phasor = Callable[[float], complex]
 
 
 def made_test(
-    lines: Mapping[float, Phasor],
-    *,
-    name: str = "made",
-    seed: int = 0,
-    speeds: Sequence[float] = SPEEDS_RPM,
-    duration_s: float = 16.0,
-    run: Mapping[str, Any] | None = None,
-    modes: Sequence[dict[str, Any]] = (),
+    lines: Mapping[float, Phasor], *, name: str = "made", seed: int = 0, speeds: Sequence[float] = SPEEDS_RPM,
+    duration_s: float = 16.0, run: Mapping[str, Any] | None = None, modes: Sequence[dict[str, Any]] = (),
     channels: Sequence[str] = ("A",),
-) -> Tested:
+) -> Tested:  # fmt: skip
     """A test with ``lines`` (by order) in white noise; ``run`` is merged into what run.json states."""
     orders = []
     for number, rpm in enumerate(speeds):

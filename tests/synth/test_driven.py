@@ -117,12 +117,10 @@ def course(motion):
 
 
 PROFILES = {
-    "run-up": ((0.0, 300.0), (0.25, 5000.0)),
-    "corners": ((0.04, 900.0), (0.1, 2700.0), (0.16, 2700.0), (0.2, 300.0)),
+    "run-up": ((0.0, 300.0), (0.25, 5000.0)), "corners": ((0.04, 900.0), (0.1, 2700.0), (0.16, 2700.0), (0.2, 300.0)),
     "corners between samples": ((0.04003, 900.0), (0.10017, 2700.0), (0.1600071, 2700.0), (0.2, 300.0)),
-    "reversal": ((0.02, 700.0), (0.2, -1500.0)),
-    "from standstill": ((0.04, 0.0), (0.2, 2000.0)),
-}
+    "reversal": ((0.02, 700.0), (0.2, -1500.0)), "from standstill": ((0.04, 0.0), (0.2, 2000.0)),
+}  # fmt: skip
 
 
 @pytest.mark.cases(1)
@@ -165,11 +163,9 @@ def test_an_uneven_rotation_has_its_past(name):
     motion, at = UNEVEN[name], course(UNEVEN[name])
     times, past_s = np.arange(300) / RATE_HZ, 0.5
     expected = integrated(
-        lambda time: plain_force(*at(time)),
-        times,
-        borders_s=(-past_s, times[-1] + 0.5 / RATE_HZ),
+        lambda time: plain_force(*at(time)), times, borders_s=(-past_s, times[-1] + 0.5 / RATE_HZ),
         start=steady_start(1500.0, at(-past_s)[0]),
-    )
+    )  # fmt: skip
     found = driven_signal(POLES, [(lines(), motion)], rate_hz=RATE_HZ, n_samples=300)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
