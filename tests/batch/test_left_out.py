@@ -11,11 +11,9 @@ from made.recordings import manifest
 
 RATE, SECONDS = 5000.0, 10.0
 MANIFEST = manifest(
-    channels={"X": {}, "Y": {}},
-    recordings={"files": ["*.h5"], "speed_rpm": {"a.h5": 1500.0, "b.h5": 1800.0}},
-    sampling={"rate_hz": RATE},
-    encoder={"kind": "constant"},
-)
+    channels={"X": {}, "Y": {}}, recordings={"files": ["*.h5"], "speed_rpm": {"a.h5": 1500.0, "b.h5": 1800.0}},
+    sampling={"rate_hz": RATE}, encoder={"kind": "constant"},
+)  # fmt: skip
 
 
 def signals(rpm, seed):
@@ -132,11 +130,9 @@ ROTOR_RATE, ROTOR_SECONDS = 2048.0, 8.0
 SPEEDS = np.linspace(800.0, 2600.0, 8)
 NATURAL_HZ, DAMPING = 90.0, 0.02
 ROTOR = manifest(
-    "rec_*.h5",
-    channels={"X": {}, "Y": {}, "Z": {}},
-    sampling={"rate_hz": ROTOR_RATE},
+    "rec_*.h5", channels={"X": {}, "Y": {}, "Z": {}}, sampling={"rate_hz": ROTOR_RATE},
     encoder={"source": "mark", "kind": "pulse_times", "pulses_per_rev": 1},
-)
+)  # fmt: skip
 
 
 def findings_of(folder, changed):

@@ -10,12 +10,10 @@ from made.recordings import manifest
 RATE_HZ, SHAFT_HZ, TURNS = 200.0, 25.0, 1 / 97
 
 MANIFEST = manifest(
-    "steady.*",
-    channels={"acc": {"source": "acc"}},
-    sampling={"rate_hz": RATE_HZ},
+    "steady.*", channels={"acc": {"source": "acc"}}, sampling={"rate_hz": RATE_HZ},
     encoder={"source": "tacho", "kind": "square", "pulses_per_rev": 1},
     gears=[{"name": "other", "teeth": 2, "ratio": 0.0171}, {"name": "blades", "teeth": 3, "ratio": 0.0103}],
-)
+)  # fmt: skip
 
 LONG = 'title = "Long"\ndescription = "Long frames."\n[orders]\nmax_order = 8.0\nrevs_per_frame = 400\noverlap = 0.5\n'
 

@@ -5,11 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.engine.balance_data import (
-    leading_harmonics,
-    load_balanced_engine,
-    reduced_masses,
-)
+from crankorder.engine.balance_data import leading_harmonics, load_balanced_engine, reduced_masses
 from crankorder.engine.balancing import (
     CounterweightPlaces,
     OrderForce,

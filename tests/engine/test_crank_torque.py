@@ -68,12 +68,10 @@ def test_the_potential_torque_does_no_work_in_a_revolution():
 @pytest.mark.parametrize(
     ("angles", "torques", "what"),
     [
-        ((0.0, 180.0), (1.0,), "one torque for each"),
-        ((0.0,), (1.0,), "two or more"),
-        ((0.0, 200.0, 100.0, 360.0), (0.0, 1.0, 1.0, 0.0), "rising"),
-        ((0.0, 360.0), (0.0, float("nan")), "finite"),
+        ((0.0, 180.0), (1.0,), "one torque for each"), ((0.0,), (1.0,), "two or more"),
+        ((0.0, 200.0, 100.0, 360.0), (0.0, 1.0, 1.0, 0.0), "rising"), ((0.0, 360.0), (0.0, float("nan")), "finite"),
     ],
-)
+)  # fmt: skip
 def test_impossible_nodes_are_refused(angles, torques, what):
     with pytest.raises(ValidationError, match=what):
         TorqueBranch(angle_deg=angles, torque_nm=torques)

@@ -56,15 +56,9 @@ def test_faults_of_lengths_masses_keys_and_parts_are_all_told_at_once(tmp_path):
         load_engine("bad.toml", tmp_path)
     told = {(fault.place, fault.problem.split(",")[0]) for fault in caught.value.faults}
     assert {place for place, _ in told} == {
-        "rod_length_m",
-        "reciprocating_mass_kg",
-        "stroke",
-        "main_bearings_m",
-        "cylinders",
-        "gas.crank_angle_deg",
-        "gas.ideal",
-        "bearings.0.designation",
-    }
+        "rod_length_m", "reciprocating_mass_kg", "stroke", "main_bearings_m", "cylinders", "gas.crank_angle_deg",
+        "gas.ideal", "bearings.0.designation",
+    }  # fmt: skip
 
 
 MISFITS = {

@@ -85,6 +85,10 @@ def engine(throws, **differences):
     return Engine.model_validate({**lengths, "cylinders": cylinders, **differences})
 
 
+def turning(angle):
+    return np.stack([np.sin(angle), 0 * angle, np.cos(angle)])
+
+
 def summed(model):
     """Force and first moment along the crankshaft by (direction, order), from positions differentiated by hand."""
     phi = 2 * np.pi * np.arange(512) / 512
@@ -107,28 +111,13 @@ def summed(model):
         size = -own("reciprocating_mass_kg") * second
         rest = phi + pin + math.radians(own("rotating_unbalance_deg"))
         unbalance = own("rotating_unbalance_kg_m")
-        parts = np.stack(
-            [
-                size * math.sin(bank) + unbalance * np.sin(rest),
-                0 * size,
-                size * math.cos(bank) + unbalance * np.cos(rest),
-            ]
-        )
+        parts = size * turning(bank)[:, None] + unbalance * turning(rest)
         force, moment = force + parts, moment + cylinder.position_m * parts
-    for web in model.webs:
-        turned = phi + math.radians(web.angle_deg)
-        parts = 1e-6 * web.unbalance_g_mm * np.stack([np.sin(turned), 0 * turned, np.cos(turned)])
-        force, moment = force + parts, moment + web.position_m * parts
-    for shaft in model.shafts.single:
-        for weight in shaft.weights:
-            turned = shaft.speed_ratio * phi + math.radians(weight.angle_deg)
-            parts = (
-                1e-6
-                * shaft.speed_ratio**2
-                * weight.unbalance_g_mm
-                * np.stack([np.sin(turned), 0 * turned, np.cos(turned)])
-            )
-            force, moment = force + parts, moment + weight.position_m * parts
+    weights = [(1, web) for web in model.webs]
+    weights += [(shaft.speed_ratio, weight) for shaft in model.shafts.single for weight in shaft.weights]
+    for ratio, weight in weights:
+        parts = 1e-6 * ratio**2 * weight.unbalance_g_mm * turning(ratio * phi + math.radians(weight.angle_deg))
+        force, moment = force + parts, moment + weight.position_m * parts
     by_order = [2 * np.fft.rfft(one)[:, : ORDERS + 1] / phi.size for one in (force, moment)]
     return by_order[0], by_order[1]
 
@@ -144,11 +133,6 @@ def off_by(model):
     about = crankcase_moments(model, RPM, max_order=ORDERS)
     apart = (ours - force, about[X] - moment[Z], about[Z] + moment[X])
     return max(float(np.abs(one[..., 1:]).max()) for one in apart) / scale(model)
-
-
-def test_forces_and_couples_are_those_of_an_independent_sum():
-    off = {name: off_by(engine(throws)) for name, (throws, _) in ENGINES.items()}
-    assert not {name: error for name, error in off.items() if not error < EXACT}
 
 
 SHIPPED = {"inline-2": (0, 180), "inline-3": (0, 120, 240), "inline-4": (0, 180, 180, 0), "v-twin": (0, 0)}
@@ -220,16 +204,13 @@ def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed):
     draw = np.random.default_rng(seed)
     cylinders = [
         {
-            "crank_deg": float(draw.uniform(-360, 360)),
-            "bank_deg": float(draw.uniform(-180, 180)),
-            "position_m": float(draw.uniform(-0.3, 0.3)),
-            "reciprocating_mass_kg": float(draw.uniform(0.2, 0.9)),
+            "crank_deg": float(draw.uniform(-360, 360)), "bank_deg": float(draw.uniform(-180, 180)),
+            "position_m": float(draw.uniform(-0.3, 0.3)), "reciprocating_mass_kg": float(draw.uniform(0.2, 0.9)),
             "rotating_unbalance_kg_m": float(draw.uniform(0, 0.02)),
-            "rotating_unbalance_deg": float(draw.uniform(0, 360)),
-            "offset_m": float(draw.uniform(-0.02, 0.02)),
+            "rotating_unbalance_deg": float(draw.uniform(0, 360)), "offset_m": float(draw.uniform(-0.02, 0.02)),
         }
         for _ in range(draw.integers(1, 9))
-    ]
+    ]  # fmt: skip
 
     def weights(n):
         return [
@@ -281,18 +262,11 @@ def test_a_design_takes_any_order_asked_for(order):
 @pytest.mark.parametrize(
     ("name", "force", "couple"),
     [
-        ("inline-3", None, 0.5),
-        ("inline-5", None, 0.5),
-        ("inline-2, 180°", None, 0.5),
-        ("inline-2, 360°", 0.5, None),
-        ("v8, 90°, cross", None, 1.0),
-        ("v6, 90°, common pins", None, 1.0),
-        ("v6, 60°, pins split by 60°", None, 0.5),
-        ("v-twin, 60°", 2 / 3, None),
-        ("v-twin, 90°", 1.0, 0.0),
-        ("radial-7", 1.0, None),
+        ("inline-3", None, 0.5), ("inline-5", None, 0.5), ("inline-2, 180°", None, 0.5), ("inline-2, 360°", 0.5, None),
+        ("v8, 90°, cross", None, 1.0), ("v6, 90°, common pins", None, 1.0), ("v6, 60°, pins split by 60°", None, 0.5),
+        ("v-twin, 60°", 2 / 3, None), ("v-twin, 90°", 1.0, 0.0), ("radial-7", 1.0, None),
     ],
-)
+)  # fmt: skip
 def test_crank_webs_take_the_share_that_turns_with_the_crank(name, force, couple):
     shares = primary_shares(engine(ENGINES[name][0]))
     for found, known in ((shares.force, force), (shares.couple, couple)):

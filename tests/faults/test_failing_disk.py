@@ -52,12 +52,7 @@ def both(folder, tmp_path_factory):
     ],
 )
 def test_f3_i4_whichever_call_of_a_whole_run_fails_the_old_results_are_whole_or_the_new_ones(
-    folder,
-    both,
-    tmp_path,
-    monkeypatch,
-    call,
-    fault,
+    folder, both, tmp_path, monkeypatch, call, fault
 ):
     """Each time one more call goes well, until all do; only calls that change the disk are counted."""
     place, old, new = both

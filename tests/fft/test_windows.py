@@ -8,25 +8,15 @@ import pytest
 import scipy.fft
 
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
-from crankorder.fft.windows import (
-    NAMES,
-    blackman_harris,
-    flat_top,
-    hann,
-    kaiser,
-    rectangular,
-    window_named,
-)
+from crankorder.fft.windows import NAMES, blackman_harris, flat_top, hann, kaiser, rectangular, window_named
 
 
 def test_windows_have_the_figures_of_their_authors():
     # Heinzel et al. 2002, section D.3.4 (HFT144D); Harris 1978, table 1
     for window, enbw_bins, scalloping_db, side_lobe_db, first_bin in (
-        (flat_top(1024), 4.5386, 0.0021, -144.1, 7),
-        (blackman_harris(1024), 2.0, 0.83, -92.0, 4),
-        (hann(1024), 1.5, 1.42, -31.5, 2),
-        (rectangular(1024), 1.0, 3.92, -13.2, 1),
-    ):
+        (flat_top(1024), 4.5386, 0.0021, -144.1, 7), (blackman_harris(1024), 2.0, 0.83, -92.0, 4),
+        (hann(1024), 1.5, 1.42, -31.5, 2), (rectangular(1024), 1.0, 3.92, -13.2, 1),
+    ):  # fmt: skip
         assert window.enbw_bins == pytest.approx(enbw_bins, abs=6e-3 if enbw_bins == 2.0 else 6e-5)
         worst_db = 20 * np.log10(window.response(np.array([0.5]))[0])
         assert -worst_db == pytest.approx(scalloping_db, abs=6e-3 if scalloping_db > 0.01 else 6e-5)

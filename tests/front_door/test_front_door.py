@@ -287,11 +287,8 @@ def test_signals_that_are_none_are_refused():
 
 def test_only_recordings_have_maps():
     for given, said in (
-        ("a folder", "not a Recording"),
-        (None, "not a Recording"),
-        ([], "no recording"),
-        (xr.Dataset(), "missing"),
-    ):
+        ("a folder", "not a Recording"), (None, "not a Recording"), ([], "no recording"), (xr.Dataset(), "missing"),
+    ):  # fmt: skip
         with pytest.raises(CrankorderError, match=said):
             co.order_map(given)
     with pytest.raises(RequestError, match="not a Recording"):

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from crankorder.identify.lines.line_evidence import (
-    independent_bins,
-    noise_floor,
-    noise_level,
-    reference_bins,
-)
+from crankorder.identify.lines.line_evidence import independent_bins, noise_floor, noise_level, reference_bins
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.search import search

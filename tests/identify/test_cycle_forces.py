@@ -26,11 +26,9 @@ def test_the_masses_torque_and_force_are_those_of_the_long_rod():
     for _ in range(10):
         radius, mass, rpm = rng.uniform(0.03, 0.08), rng.uniform(0.2, 5.0), rng.uniform(600, 6000)
         engine = Engine(
-            crank_radius_m=radius,
-            rod_length_m=200 * radius,
-            reciprocating_mass_kg=mass,
+            crank_radius_m=radius, rod_length_m=200 * radius, reciprocating_mass_kg=mass,
             gas=GasCurve(crank_angle_deg=(0.0, 180.0), torque_n_m=(10.0, 10.0)),
-        )
+        )  # fmt: skip
         one, two = cycle_forces(engine, [(1.0, rpm), (2.0, rpm)])
         assert one is not None and two is not None
         along = mass * radius * (rpm * np.pi / 30) ** 2

@@ -13,13 +13,7 @@ SETTINGS = load_settings().identify
 SHARES = np.array([[1.0], [0.7], [-0.5]])
 
 
-def _machine(
-    orders,
-    size,
-    mode,
-    rpm,
-    rate,
-):
+def _machine(orders, size, mode, rpm, rate):
     """Two ``orders`` of forces ``size`` that pass one ``mode`` (Hz, damping ratio) at a ``rate`` (rpm/s)."""
     seconds = abs(rpm[1] - rpm[0]) / rate
     natural, damping = np.array(mode[:1]), np.array(mode[1:])

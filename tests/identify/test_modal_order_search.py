@@ -212,13 +212,11 @@ def with_light_mode(seed, *, n_speeds, near_hz, damping):
     made = drawn(seed, n_speeds=n_speeds, n_modes=2, damping=(0.01, 0.04), lowest_hz=110.0)
     zeta = np.exp(random.uniform(*np.log(damping)))
     return replace(
-        made,
-        natural_hz=np.insert(made.natural_hz, 0, random.uniform(*near_hz)),
-        damping=np.insert(made.damping, 0, zeta),
-        shape=np.insert(made.shape, 0, 1.0, axis=0),
+        made, natural_hz=np.insert(made.natural_hz, 0, random.uniform(*near_hz)),
+        damping=np.insert(made.damping, 0, zeta), shape=np.insert(made.shape, 0, 1.0, axis=0),
         drive=np.insert(made.drive, 0, [0.0, 0.0, random.uniform(1.0, 4.0)], axis=0),
         order_force=np.insert(made.order_force, 1, made.order_force[:, 1], axis=1),
-    )
+    )  # fmt: skip
 
 
 def with_tone(made, frequency_hz, over_db):

@@ -199,12 +199,10 @@ def test_a_test_of_unknown_speed_says_nothing_and_one_at_one_speed_has_no_free_b
 
 
 KINDS = {
-    "fine": {},
-    "coarse": {"n_speeds": (12, 24), "span_rpm": (2500.0, 5000.0)},
-    "few": {"n_speeds": (4, 11), "span_rpm": (3000.0, 3000.0), "even": False},
-    "square law": {"smooth": False},
+    "fine": {}, "coarse": {"n_speeds": (12, 24), "span_rpm": (2500.0, 5000.0)},
+    "few": {"n_speeds": (4, 11), "span_rpm": (3000.0, 3000.0), "even": False}, "square law": {"smooth": False},
     "exact force": {"smooth": False, "scatter": (0.0,)},
-}
+}  # fmt: skip
 
 
 @cache

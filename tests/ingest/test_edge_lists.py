@@ -274,11 +274,9 @@ def is_right(findings):
 
 
 NAMES = [
-    ("MSG_ACCEL_SAMPLES_{run}.csv", "MSG_HALL_EVENT_{run}.csv"),
-    ("{run}_acc.csv", "{run}_hall.csv"),
-    ("{run}.h5", "{run}.hall"),
-    ("acc {run} y.csv", "tacho {run} z.csv"),
-]
+    ("MSG_ACCEL_SAMPLES_{run}.csv", "MSG_HALL_EVENT_{run}.csv"), ("{run}_acc.csv", "{run}_hall.csv"),
+    ("{run}.h5", "{run}.hall"), ("acc {run} y.csv", "tacho {run} z.csv"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("samples", "events"), NAMES)

@@ -130,17 +130,15 @@ def test_a_name_that_is_not_utf_8_is_shown_escaped(tmp_path, found_in):
 
 def test_a_file_that_is_not_what_it_seems_is_named_by_its_content(tmp_path):
     rows = [
-        ("a.h5", b"", "truncated: the file is empty"),
-        ("a.h5", b"\0" * 5000, "holds only zeros"),
+        ("a.h5", b"", "truncated: the file is empty"), ("a.h5", b"\0" * 5000, "holds only zeros"),
         ("a.h5", b"time,acc\n0,1\n", r"is text, though its name ends in \.h5"),
         ("a.mat", b"<!DOCTYPE html><html>404", "is an HTML or XML page: not a recording"),
         ("a.hdf", b"HEAD acoustics\n1 2 3\n", "HEAD .hdf is a format of its own.*Export UFF58, WAV or HDF5"),
         ("a.pkl", b"\x80\x04\x95\x00", "is a Python pickle, which can run code: never opened"),
         ("a.xyz", b"\x01\x02\x00\x03", "content is not known.*first bytes 01 02 00 03"),
         ("a.h5", b"\x89", "truncated: only 1 bytes are left"),
-        ("a.xlsx", b"PK\x03\x04" + b"\0" * 50, "truncated or damaged"),
-        ("a.csv", b"\xff\xfea\0", "is UTF-16 text"),
-    ]
+        ("a.xlsx", b"PK\x03\x04" + b"\0" * 50, "truncated or damaged"), ("a.csv", b"\xff\xfea\0", "is UTF-16 text"),
+    ]  # fmt: skip
     for name, content, words in rows:
         (tmp_path / name).write_bytes(content)
         with pytest.raises(InputError, match=words):

@@ -262,13 +262,11 @@ def test_a_motor_is_read(tmp_path):
 
 def test_a_wrong_motor_is_refused_with_its_line(tmp_path):
     rows = [
-        ("supply_hz = 50.0\npoles = 3\n", "poles come in pairs"),
-        ("supply_hz = 50.0\npoles = 0\n", "greater than 0"),
+        ("supply_hz = 50.0\npoles = 3\n", "poles come in pairs"), ("supply_hz = 50.0\npoles = 0\n", "greater than 0"),
         ("supply_hz = -50.0\npoles = 4\n", "greater than 0"),
         ("supply_hz = 50.0\n", "a motor needs poles, rotor_bars or stator_slots"),
-        ("poles = 4\nrotor_bar = 44\n", "Did you mean 'rotor_bars'?"),
-        ('poles = "4"\n', "motor.poles"),
-    ]
+        ("poles = 4\nrotor_bar = 44\n", "Did you mean 'rotor_bars'?"), ('poles = "4"\n', "motor.poles"),
+    ]  # fmt: skip
     for text, words in rows:
         with pytest.raises(ManyErrors) as caught:
             read_manifest(tmp_path, f"[motor]\n{text}")

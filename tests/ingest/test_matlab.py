@@ -182,11 +182,9 @@ def test_more_objects_than_a_recording_has_are_refused(tmp_path, limits):
 
 
 MANIFEST = manifest(
-    "*.mat",
-    channels={"DE": {"source": "*_DE_time"}},
-    sampling={"rate_hz": 12000},
+    "*.mat", channels={"DE": {"source": "*_DE_time"}}, sampling={"rate_hz": 12000},
     encoder={"kind": "constant", "source": "*RPM"},
-)
+)  # fmt: skip
 
 
 def test_a_constant_speed_is_that_which_the_file_states(saved, tmp_path, settings, read_in):

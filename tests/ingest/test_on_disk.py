@@ -39,14 +39,11 @@ def assert_same(whole, blocks):
 @pytest.mark.parametrize(
     "stored",
     [
-        {"dtype": "<i2"},
-        {"dtype": "<f4"},
-        {"dtype": ">f8"},
-        {"dtype": "<i4", "chunks": (N,)},
+        {"dtype": "<i2"}, {"dtype": "<f4"}, {"dtype": ">f8"}, {"dtype": "<i4", "chunks": (N,)},
         {"dtype": "<f4", "chunks": (10_007,), "compression": "gzip"},
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_hdf5_columns_are_the_same_on_disk(tmp_path, limits, stored):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         for name, values in zip("abc", NOISE, strict=True):
@@ -96,13 +93,11 @@ def test_a_recording_on_disk_is_the_one_in_memory(tmp_path, manifest_of, setting
         file["enc"] = (np.arange(N) % 40 < 20).astype(np.uint8)
     made = [
         read_recording(
-            tmp_path / "a.h5",
-            manifest_of(tables),
-            settings=settings.ingest.model_copy(update={"in_memory_bytes": n_bytes}),
-            shaft=settings.shaft,
+            tmp_path / "a.h5", manifest_of(tables),
+            settings=settings.ingest.model_copy(update={"in_memory_bytes": n_bytes}), shaft=settings.shaft,
         )
         for n_bytes in (10**9, 0)
-    ]
+    ]  # fmt: skip
     assert [is_on_disk(recording["signal"].values) for recording in made] == [False, True]
     assert made[0].identical(made[1])
 

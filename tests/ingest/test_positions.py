@@ -55,17 +55,13 @@ COUNTS = {"wrapped": lambda c, n: c % n, "16 bit": lambda c, _: c % 65536, "grow
 @pytest.mark.parametrize(
     ("name", "unit", "counts", "speeds"),
     [
-        ("angle", "deg", 4096, (15.0, 33.0)),
-        ("angle 720", "deg", 360, (20.0, 20.0)),
-        ("angle growing", "deg", 1000, (31.0, 17.0)),
-        ("theta", "rad", 500, (15.0, 33.0)),
-        ("position", "rev", 2048, (200.0, 400.0)),
-        ("wrapped", "counts", 24, (15.0, 33.0)),
-        ("wrapped", "counts", 4096, (25.0, 25.0)),
-        ("16 bit", "counts", 1024, (15.0, 33.0)),
+        ("angle", "deg", 4096, (15.0, 33.0)), ("angle 720", "deg", 360, (20.0, 20.0)),
+        ("angle growing", "deg", 1000, (31.0, 17.0)), ("theta", "rad", 500, (15.0, 33.0)),
+        ("position", "rev", 2048, (200.0, 400.0)), ("wrapped", "counts", 24, (15.0, 33.0)),
+        ("wrapped", "counts", 4096, (25.0, 25.0)), ("16 bit", "counts", 1024, (15.0, 33.0)),
         ("growing", "counts", 60, (200.0, 300.0)),
     ],
-)
+)  # fmt: skip
 def test_a_position_tells_the_angle_with_every_sample(
     tmp_path, settings, read_in, form, way, name, unit, counts, speeds
 ):
@@ -132,13 +128,11 @@ ROW = np.arange(TIME_S.size)
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("sequence_num", ROW),
-        ("index", 100 + 2 * ROW),
-        ("sample", ROW + np.cumsum(np.random.default_rng(1).random(ROW.size) < 0.002)),
-        ("counter", ROW % 256),
+        ("sequence_num", ROW), ("index", 100 + 2 * ROW),
+        ("sample", ROW + np.cumsum(np.random.default_rng(1).random(ROW.size) < 0.002)), ("counter", ROW % 256),
         ("rotation_num", ROW // 10),
     ],
-)
+)  # fmt: skip
 def test_a_counter_of_samples_takes_no_part(tmp_path, form, name, values):
     written(tmp_path, form, values.astype(float), name, "", signal_of(turns_of(15, 33)))
     text = draft_manifest(tmp_path)

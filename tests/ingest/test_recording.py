@@ -74,11 +74,9 @@ def test_values_are_turned_into_the_analysed_unit(write, read):
         ('unit = "m/s2"\nsensitivity = "100 mV/g"\n', "mV", 0.0980665, 0.0),
         ('unit = "bar"\nsensitivity = "0.077 V/bar"\noffset = "0.575 V"\n', "V", 1 / 0.077, 0.575),
         ('unit = "bar"\nsensitivity = "0.077 V/bar"\noffset = "575 mV"\n', None, 1 / 0.077, 0.575),
-        ('unit = "m/s2"\n', "g", 9.80665, 0.0),
-        ('unit = "Pa"\noffset = "1 bar"\n', "bar", 1e5, 1.0),
-        ('unit = "m/s²"\n', "m s-2", 1.0, 0.0),
-        ('unit = "V"\n', "EU", 1.0, 0.0),
-    ]
+        ('unit = "m/s2"\n', "g", 9.80665, 0.0), ('unit = "Pa"\noffset = "1 bar"\n', "bar", 1e5, 1.0),
+        ('unit = "m/s²"\n', "m s-2", 1.0, 0.0), ('unit = "V"\n', "EU", 1.0, 0.0),
+    ]  # fmt: skip
     for tables, unit, factor, offset in rows:
         values = np.random.default_rng(2).standard_normal(100)
         recording = read(write(acc=values, unit=unit), '[[channels]]\nname = "c"\nsource = "acc"\n' + tables)

@@ -88,13 +88,10 @@ def test_columns_that_start_at_different_times_are_laid_on_one_clock(tmp_path, s
 @pytest.mark.parametrize(
     ("write", "how"),
     [
-        (as_tdms, {"by_date": False}),
-        (as_hdf5, {"key": "wf_start_time"}),
-        (as_hdf5, {"key": "t0"}),
-        (as_hdf5, {"key": "start_time"}),
-        (as_lvm_of_one_segment, {}),
+        (as_tdms, {"by_date": False}), (as_hdf5, {"key": "wf_start_time"}), (as_hdf5, {"key": "t0"}),
+        (as_hdf5, {"key": "start_time"}), (as_lvm_of_one_segment, {}),
     ],
-)
+)  # fmt: skip
 def test_a_start_is_read_wherever_the_format_states_it(tmp_path, settings, write, how):
     columns = [vibration("acc", 2000.0, 6.0), tacho(2000.0, 6.0, 0.02)]
     recording, flags = joined(tmp_path, settings, columns, write=write, **how)
@@ -114,12 +111,9 @@ def test_starts_count_beside_a_column_of_times_too(tmp_path, settings, read_in):
 @FORMATS
 def test_an_encoder_is_decoded_and_a_speed_followed_at_its_own_rate(tmp_path, settings, form):
     for shaft, kind, within_deg in (
-        (tacho(20_000.0, 5.0, 0.1), "square", 0.5),
-        (tacho(800.0, 6.0), "square", 12.0),
-        (speed(50.0, 6.0), "speed", 0.1),
-        (speed(1.0, 6.0), "speed", 3.0),
-        (speed(10_000.0, 6.0), "speed", 0.1),
-    ):
+        (tacho(20_000.0, 5.0, 0.1), "square", 0.5), (tacho(800.0, 6.0), "square", 12.0),
+        (speed(50.0, 6.0), "speed", 0.1), (speed(1.0, 6.0), "speed", 3.0), (speed(10_000.0, 6.0), "speed", 0.1),
+    ):  # fmt: skip
         columns = [vibration("acc", 2000.0, 6.0), shaft]
         recording, flags = joined(tmp_path, settings, columns, kind=kind, write=WRITERS[form])
         start_s = 0.0995 if shaft.start_s else 0.0

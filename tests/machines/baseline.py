@@ -158,9 +158,9 @@ def fallen(classes: Iterable[Comparison], baseline: Sequence[SceneScore], fresh:
                 reasons.append(f"{own.class_name}: {what}: {numbers}")
         reasons += [f"{own.class_name}: {words}" for words in own.more if own.class_name != "all"]
     counts = {
-        kind: tuple(sum(_has(score, kind) for score in scores) for scores in (baseline, fresh))
-        for kind in (*DANGERS, "failed")
-    }
+        kind: tuple(sum(score.misses(kind) > 0.5 for score in scores) for scores in (baseline, fresh))
+        for kind in DANGERS
+    } | {"failed": tuple(sum(bool(score.message) for score in scores) for scores in (baseline, fresh))}
     part = len(fresh) / max(1, len(fresh) + len(baseline))
     chances = [_chance(new, old + new, part) for old, new in counts.values()]
     for (kind, (old, new)), chance in zip(counts.items(), holm(chances), strict=True):
@@ -168,10 +168,6 @@ def fallen(classes: Iterable[Comparison], baseline: Sequence[SceneScore], fresh:
             words = f"{new} of {len(fresh)} machines, in the baseline {old} of {len(baseline)} (chance {chance:.2g})"
             reasons.append(f"fresh machines, {kind}: {words}")
     return reasons
-
-
-def _has(score: SceneScore, kind: str) -> bool:
-    return bool(score.message) if kind == "failed" else score.misses(kind) > 0.5
 
 
 def _misses(scores: Iterable[SceneScore], kind: str) -> float:

@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.engine.machine_parts import Bearing
+from machines.motor_rig import noise
 from made.strikes import recording
 
 Floats = NDArray[np.float64]
@@ -136,13 +137,8 @@ def samples(rig: BearingRig) -> Floats:
 
 def _noise(rig: BearingRig, time_s: Floats, angle: Floats, chance: np.random.Generator) -> Floats:
     """White noise with a share of a coloured one, which swells once a turn of the shaft."""
-    white = chance.standard_normal(len(time_s))
-    if rig.colour:
-        spectrum = np.fft.rfft(chance.standard_normal(len(time_s)))
-        at = np.fft.rfftfreq(len(time_s), 1.0 / rig.rate_hz)
-        coloured = np.fft.irfft(spectrum / np.hypot(1.0, at / 800.0), len(time_s))
-        white = np.sqrt(1.0 - rig.colour**2) * white + rig.colour * coloured / coloured.std()
-    return np.asarray(white * (1.0 + rig.swell * np.cos(2.0 * np.pi * angle)))
+    even = noise(chance, len(time_s), rig.rate_hz, colour=rig.colour, corner_hz=800.0)
+    return np.asarray(even * (1.0 + rig.swell * np.cos(2.0 * np.pi * angle)))
 
 
 def _strikes(rig: BearingRig, chance: np.random.Generator) -> tuple[Floats, Floats]:

@@ -15,7 +15,10 @@ the cross-spectral density, over the length of the whole test. Both share the po
   and on no flank of a resonance that still makes an order more than three times larger.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +36,7 @@ FORCE_POWERS = 3
 """Powers of speed in the unknown smooth factor of each force."""
 ROUNDING = 1e-12
 """Share of the largest singular value below which a direction is none."""
+POLE = ("frequency_hz", "damping_ratio")
 STEP = 1e-3
 """Relative step of the numerical derivatives, in shares of the damping."""
 
@@ -110,12 +114,18 @@ def free_for_the_oracle(
     return free
 
 
-def _moved(mode: Mode, *, frequency: float = 0.0, damping: float = 0.0) -> Mode:
-    return replace(mode, frequency_hz=mode.frequency_hz + frequency, damping_ratio=mode.damping_ratio + damping)
+def _moved(mode: Mode, key: str, by: float) -> Mode:
+    return replace(mode, **{key: getattr(mode, key) + by})
 
 
-def _steps(mode: Mode) -> tuple[float, float]:
-    return STEP * mode.damping_ratio * mode.frequency_hz, STEP * mode.damping_ratio
+def _step(mode: Mode, key: str) -> float:
+    return STEP * mode.damping_ratio * (mode.frequency_hz if key == "frequency_hz" else 1.0)
+
+
+def _slope(of: Callable[[Mode], Any], mode: Mode, key: str) -> Any:
+    """Central difference of ``of`` by the parameter ``key`` of ``mode``."""
+    step = _step(mode, key)
+    return (of(_moved(mode, key, step)) - of(_moved(mode, key, -step))) / (2.0 * step)
 
 
 @dataclass(frozen=True)
@@ -230,10 +240,8 @@ def _steady_rows(machine: Machine, profile: Profile, number: int) -> _Rows:
 
     responses = []
     for mode in machine.modes:
-        df, dz = _steps(mode)
-        by_f = (unit(_moved(mode, frequency=df)) - unit(_moved(mode, frequency=-df))) / (2.0 * df)
-        by_z = (unit(_moved(mode, damping=dz)) - unit(_moved(mode, damping=-dz))) / (2.0 * dz)
-        responses.append(tuple(np.asarray(value * steady) for value in (unit(mode), by_f, by_z)))
+        values = (unit(mode), *(_slope(unit, mode, key) for key in POLE))
+        responses.append(tuple(np.asarray(value * steady) for value in values))
     return _Rows(profile.duration_s / 16 * ones, frequency[0] * ones, np.asarray(force * steady), angle, responses)
 
 
@@ -263,10 +271,8 @@ def _swept_rows(machine: Machine, profile: Profile, number: int) -> _Rows:
 
     responses: list[tuple[ComplexArray, ...]] = []
     for mode in machine.modes:
-        df, dz = _steps(mode)
-        middle = unit(mode)
-        by_f = (unit(_moved(mode, frequency=df)) - middle) / df
-        responses.append((middle, by_f, (unit(_moved(mode, damping=dz)) - middle) / dz))
+        middle, steps = unit(mode), ((key, _step(mode, key)) for key in POLE)
+        responses.append((middle, *((unit(_moved(mode, key, step)) - middle) / step for key, step in steps)))
     kept = time_s[thin]
     weight = np.full(kept.size, profile.duration_s / kept.size)
     hz = np.maximum(order.order * speed[thin] / 60.0, 0.1)
@@ -298,14 +304,7 @@ def _floor_slopes(machine: Machine, frequency: FloatArray) -> list[ComplexArray]
         modes = (*machine.modes[:place], mode, *machine.modes[place + 1 :])
         return replace(machine, modes=modes).floor_psd(frequency)
 
-    slopes = []
-    for place, mode in enumerate(machine.modes):
-        df = _steps(mode)[0]
-        up, down = floor(place, _moved(mode, frequency=df)), floor(place, _moved(mode, frequency=-df))
-        slopes.append((up - down) / (2 * df))
-    for place, mode in enumerate(machine.modes):
-        dz = _steps(mode)[1]
-        slopes.append((floor(place, _moved(mode, damping=dz)) - floor(place, _moved(mode, damping=-dz))) / (2 * dz))
+    slopes = [_slope(partial(floor, place), mode, key) for key in POLE for place, mode in enumerate(machine.modes)]
     base = machine.floor_psd(frequency)
     for place, mode in enumerate(machine.modes):
         for channel in range(len(machine.channels)):

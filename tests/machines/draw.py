@@ -196,13 +196,8 @@ def _up_and_down(rng: np.random.Generator, up: Profile) -> tuple[Profile, ...]:
     if rng.random() < 0.5:
         return up, Profile((0.0, down), up.rpm[::-1], float(rng.uniform(0.0, 2.0)))
     still = round(float(rng.uniform(0.3, 3.0)), 3)
-    return (
-        replace(
-            up,
-            time_s=(0.0, up.duration_s, up.duration_s + still, up.duration_s + still + down),
-            rpm=(*up.rpm, *up.rpm[::-1]),
-        ),
-    )
+    knots = (0.0, up.duration_s, up.duration_s + still, up.duration_s + still + down)
+    return (replace(up, time_s=knots, rpm=(*up.rpm, *up.rpm[::-1])),)
 
 
 def _swinging(rng: np.random.Generator, profiles: tuple[Profile, ...]) -> tuple[Profile, ...]:

@@ -242,11 +242,9 @@ def _pulse_times(
 
 def _manifest(rig: EncoderRig) -> str:
     lines = [
-        "schema_version = 1",
-        f'[test]\nname = "encoder {rig.seed}"\ncycle = "two-stroke"',
-        '[recordings]\nfiles = ["rec_*.h5"]',
-        f'[sampling]\ndomain = "time"\nrate_hz = {rig.rate_hz!r}',
-    ]
+        "schema_version = 1", f'[test]\nname = "encoder {rig.seed}"\ncycle = "two-stroke"',
+        '[recordings]\nfiles = ["rec_*.h5"]', f'[sampling]\ndomain = "time"\nrate_hz = {rig.rate_hz!r}',
+    ]  # fmt: skip
     lines += [
         f'[[channels]]\nname = "C{n}"\nsource = "acc_{n}"\nquantity = "acceleration"\nunit = "m/s2"'
         for n in range(rig.channels)

@@ -149,9 +149,8 @@ def _pickup(rng: np.random.Generator) -> Drawn:
     teeth = rng.integers(1, 61)
     wave = np.cos(2.0 * np.pi * drawn.shaft_hz * teeth * drawn.time_s)
     pulse = 5.0 * (wave > np.cos(np.pi * rng.uniform(0.05, 0.5))) + 0.01 * rng.normal(size=wave.size)
-    return Drawn(
-        np.vstack([pulse, drawn.signals]), ("voltage", *drawn.quantities), drawn.rate_hz, drawn.shaft_hz, "pickup"
-    )
+    signals, quantities = np.vstack([pulse, drawn.signals]), ("voltage", *drawn.quantities)
+    return replace(drawn, signals=signals, quantities=quantities, kind="pickup")
 
 
 def _coarse(rng: np.random.Generator) -> Drawn:
@@ -188,9 +187,8 @@ def _vibration(rng: np.random.Generator) -> Drawn:
 
 
 def _with(drawn: Drawn, row: Floats, kind: str, size: float, begin_s: float = 0.0) -> Drawn:
-    return replace(
-        drawn, signals=np.vstack([row, drawn.signals[1:]]), kind=f"{kind}, {drawn.kind}", size=size, begin_s=begin_s
-    )
+    signals = np.vstack([row, drawn.signals[1:]])
+    return replace(drawn, signals=signals, kind=f"{kind}, {drawn.kind}", size=size, begin_s=begin_s)
 
 
 def clipped(rng: np.random.Generator) -> Drawn:

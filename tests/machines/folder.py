@@ -117,11 +117,9 @@ def manifest(machine: Machine) -> str:
     """Text of ``run.toml`` for the test of ``machine``."""
     encoder = machine.encoder
     lines = [
-        "schema_version = 1",
-        f'[test]\nname = "{machine.class_name} {machine.seed}"\ncycle = "four-stroke"',
-        '[recordings]\nfiles = ["rec_*.h5"]',
-        f'[sampling]\ndomain = "time"\nrate_hz = {machine.rate_hz!r}',
-    ]
+        "schema_version = 1", f'[test]\nname = "{machine.class_name} {machine.seed}"\ncycle = "four-stroke"',
+        '[recordings]\nfiles = ["rec_*.h5"]', f'[sampling]\ndomain = "time"\nrate_hz = {machine.rate_hz!r}',
+    ]  # fmt: skip
     lines += [
         f'[[channels]]\nname = "{name}"\nsource = "acc_{name.lower()}"\nquantity = "acceleration"\nunit = "m/s2"'
         f'\ndirection = "+{name}"'
@@ -130,10 +128,8 @@ def manifest(machine: Machine) -> str:
     if machine.gear_teeth:
         lines.append(f'[[gears]]\nname = "pump drive"\nteeth = {machine.gear_teeth}')
     source, kind = {
-        "speed": ("speed", "speed"),
-        "trace": ("encoder", "square"),
-        "times": ("pulse_time", "pulse_times"),
-    }[encoder.form]
+        "speed": ("speed", "speed"), "trace": ("encoder", "square"), "times": ("pulse_time", "pulse_times"),
+    }[encoder.form]  # fmt: skip
     table = [f'[encoder]\nsource = "{source}"\nkind = "{kind}"']
     if encoder.form != "speed":
         table += [f"pulses_per_rev = {encoder.pulses_per_rev}", f"index_to_tdc_deg = {encoder.index_to_tdc_deg!r}"]

@@ -159,9 +159,11 @@ def _other(rig: MotorRig, chance: np.random.Generator) -> MotorRig:
     f = rig.mains_hz
     rpm = float(chance.uniform(900.0, 3600.0))
     lines = [Line("shaft", float(chance.uniform(1.0, 4.0)) / k, order=float(k), multiple=k) for k in (1, 2, 3)]
-    if rig.class_name == "beside":  # as 2990 rpm beside 50 Hz: an order 0.3 to 1.5 % from a multiple of the mains
+    if rig.class_name in ("beside", "synchronous"):  # a generator on the grid: an order of the shaft is mains
         multiple, order = int(chance.integers(1, 3)), int(chance.integers(1, 4))
-        rpm = 60.0 * multiple * f / order * (1.0 + float(chance.choice([-1, 1])) * float(chance.uniform(0.003, 0.015)))
+        rpm = 60.0 * multiple * f / order
+        if rig.class_name == "beside":  # as 2990 rpm beside 50 Hz: an order 0.3 to 1.5 % from a multiple of the mains
+            rpm *= 1.0 + float(chance.choice([-1, 1])) * float(chance.uniform(0.003, 0.015))
         lines.append(Line("mains", float(chance.uniform(0.3, 2.0)), hz=multiple * f, multiple=multiple))
     elif rig.class_name == "tone":
         base = f
@@ -169,10 +171,6 @@ def _other(rig: MotorRig, chance: np.random.Generator) -> MotorRig:
             away = float(chance.choice([-1, 1])) * float(chance.uniform(0.012, 0.2))
             base = f * int(chance.integers(1, 3)) * (1.0 + away)
         lines.append(Line("tone", float(chance.uniform(0.3, 2.0)), hz=base))
-    elif rig.class_name == "synchronous":  # a generator on the grid: an order of the shaft is mains
-        multiple, order = int(chance.integers(1, 3)), int(chance.integers(1, 4))
-        rpm = 60.0 * multiple * f / order
-        lines.append(Line("mains", float(chance.uniform(0.3, 2.0)), hz=multiple * f, multiple=multiple))
     elif rig.class_name.startswith("stray"):
         for multiple in ((1,), (2,), (1, 2), (1, 2, 3))[int(chance.integers(0, 4))]:
             lines.append(Line("mains", float(chance.uniform(0.3, 2.0)), hz=multiple * f, multiple=multiple))
@@ -191,19 +189,23 @@ def _takes(rig: MotorRig, rpm: float, lines: tuple[Line, ...], chance: np.random
     return (Take((rpm, rpm), float(chance.uniform(20.0, 60.0)), lines),)
 
 
+def noise(chance: np.random.Generator, count: int, rate_hz: float, *, colour: float, corner_hz: float) -> Floats:
+    """Noise (``count``,) of rms 1: white, with the share ``colour`` of one that falls above ``corner_hz``."""
+    white = chance.standard_normal(count)
+    if not colour:
+        return white
+    spectrum = np.fft.rfft(chance.standard_normal(count))
+    coloured = np.fft.irfft(spectrum / np.hypot(1.0, np.fft.rfftfreq(count, 1.0 / rate_hz) / corner_hz), count)
+    return np.asarray(np.sqrt(1.0 - colour**2) * white + colour * coloured / coloured.std())
+
+
 def samples(rig: MotorRig, take: Take, number: int) -> tuple[Floats, Floats]:
     """Acceleration (samples,) of the ``take`` that is ``number`` of ``rig``, in noise of rms 1; crank angle in rev."""
     chance = np.random.default_rng([rig.seed, 11, number])
     time_s = np.arange(round(take.duration_s * RATE_HZ)) / RATE_HZ
     first, last = (rpm / 60.0 for rpm in take.rpm)
     angle = first * time_s + 0.5 * (last - first) * time_s**2 / take.duration_s
-    signal = chance.standard_normal(len(time_s))
-    if rig.colour:
-        spectrum = np.fft.rfft(chance.standard_normal(len(time_s)))
-        coloured = np.fft.irfft(
-            spectrum / np.hypot(1.0, np.fft.rfftfreq(len(time_s), 1.0 / RATE_HZ) / 200.0), len(time_s)
-        )
-        signal = np.sqrt(1.0 - rig.colour**2) * signal + rig.colour * coloured / coloured.std()
+    signal = noise(chance, len(time_s), RATE_HZ, colour=rig.colour, corner_hz=200.0)
     for line in take.lines:
         signal += line.size * np.cos(2.0 * np.pi * (line.hz * time_s + line.order * angle + chance.random()))
     return signal, angle

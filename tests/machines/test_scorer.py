@@ -306,16 +306,12 @@ def test_every_set_repeats_all_classes_and_the_baseline_holds_just_these():
         assert {score.class_name for score in scores} == set(CLASSES)
 
 
-PARTS_SAID = {  # cause of a line at 60 Hz (order 2 at 1800 rpm) of a machine without gear, and whether it may be said
-    "shaft harmonic": None,
-    "half order of the four-stroke cycle": False,
-    "gear mesh or blade passing: integer order with sidebands": False,
-    "shaft harmonic or gear mesh or blade passing": True,
-    "a second shaft at 0.98": False,
-    "mains": False,
-    "unbalance, bent shaft or misalignment": None,
-    "mains or shaft harmonic": True,
-}
+PARTS_SAID = {
+    "shaft harmonic": None, "half order of the four-stroke cycle": False, "a second shaft at 0.98": False,
+    "gear mesh or blade passing: integer order with sidebands": False, "mains": False, "mains or shaft harmonic": True,
+    "shaft harmonic or gear mesh or blade passing": True, "unbalance, bent shaft or misalignment": None,
+}  # fmt: skip
+"""Cause of a line at 60 Hz (order 2 at 1800 rpm) of a machine without gear, and whether it may be said."""
 
 
 @pytest.mark.parametrize("cause", PARTS_SAID)

@@ -101,18 +101,10 @@ class DrawnMachine:
 
 
 def drawn_machine(
-    seed: int,
-    *,
-    n_speeds: tuple[int, int] = (30, 60),
-    span_rpm: tuple[float, float] = (2000.0, 4000.0),
-    n_orders: tuple[int, int] = (2, 7),
-    n_modes: tuple[int, int] = (1, 5),
-    damping: tuple[float, float] = (0.003, 0.05),
-    scatter: tuple[float, ...] = (0.0005, 0.005, 0.02),
-    error: float = 0.003,
-    even: bool = True,
-    smooth: bool = True,
-) -> DrawnMachine:
+    seed: int, *, n_speeds: tuple[int, int] = (30, 60), span_rpm: tuple[float, float] = (2000.0, 4000.0),
+    n_orders: tuple[int, int] = (2, 7), n_modes: tuple[int, int] = (1, 5), damping: tuple[float, float] = (0.003, 0.05),
+    scatter: tuple[float, ...] = (0.0005, 0.005, 0.02), error: float = 0.003, even: bool = True, smooth: bool = True,
+) -> DrawnMachine:  # fmt: skip
     """A machine of ``seed``: its numbers drawn between the given ends; speeds ``even``, or anywhere.
 
     Forces follow some smooth law of the speed, or (``smooth`` false) its square.
@@ -130,14 +122,11 @@ def drawn_machine(
         drive = 0.5 * r.normal(size=modes) * np.exp(0.1j * r.normal(size=modes)) * np.exp(2j * np.pi * r.random())
         orders.append(
             DrawnOrder(
-                order=order,
-                still=0.3 if smooth else 0.0,
-                power=float(r.uniform(0.0, 2.5)) if smooth else 2.0,
+                order=order, still=0.3 if smooth else 0.0, power=float(r.uniform(0.0, 2.5)) if smooth else 2.0,
                 turn=float(0.3 * r.normal()) if smooth else 0.0,
-                rigid=0.5 * r.normal(size=len(CHANNELS)) * np.exp(2j * np.pi * r.random()),
-                residue=shape * drive,
+                rigid=0.5 * r.normal(size=len(CHANNELS)) * np.exp(2j * np.pi * r.random()), residue=shape * drive,
             )
-        )
+        )  # fmt: skip
     return DrawnMachine(
         natural_hz=natural, damping=zeta, speed_rpm=speed, orders=tuple(orders), error=error,
         scatter=float(r.choice(scatter)),

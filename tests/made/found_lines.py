@@ -15,30 +15,18 @@ SPEEDS_RPM = np.arange(600.0, 2001.0, 50.0)
 
 
 def line(
-    order: float,
-    amplitude: Any = 1.0,
-    *,
-    channel: str = "A",
-    speed_rpm: Any = SPEEDS_RPM,
-    error: float = 0.01,
+    order: float, amplitude: Any = 1.0, *, channel: str = "A", speed_rpm: Any = SPEEDS_RPM, error: float = 0.01,
     order_error: float = 1e-4,
-) -> OrderLine:
+) -> OrderLine:  # fmt: skip
     """An order line with the ``amplitude`` (one or one per speed) and its standard ``error``."""
     speed = np.asarray(speed_rpm, dtype=np.float64)
     n = speed.size
     return OrderLine(
-        channel=channel,
-        order=order,
-        order_error=order_error,
-        seen=np.arange(n),
-        speed_rpm=speed,
+        channel=channel, order=order, order_error=order_error, seen=np.arange(n), speed_rpm=speed,
         amplitude=np.broadcast_to(np.asarray(amplitude, dtype=np.float64), (n,)).copy(),
-        amplitude_error=np.full(n, error),
-        degrees_of_freedom=np.full(n, 1e6),
-        phase_deg=np.full(n, np.nan),
-        evidence="locked to the shaft",
-        level_over_floor_db=30.0,
-    )
+        amplitude_error=np.full(n, error), degrees_of_freedom=np.full(n, 1e6), phase_deg=np.full(n, np.nan),
+        evidence="locked to the shaft", level_over_floor_db=30.0,
+    )  # fmt: skip
 
 
 def agreed(order: float, *lines: OrderLine, lock: Lock = "locked", error: float = 1e-4) -> AgreedOrder:

@@ -59,22 +59,9 @@ class Structure:
 
 
 def made_orders(
-    rng,
-    *,
-    residual_kg,
-    engine=None,
-    n_channels=3,
-    speeds=None,
-    noise=1.0,
-    freedom=(8.0, 24.0),
-    moments=False,
-    rotating_kg_m=0.0,
-    rotating_deg=0.0,
-    extra=None,
-    structure=None,
-    rpm_error=None,
-    seen=(1, 2, 3, 4),
-) -> MadeOrders:
+    rng, *, residual_kg, engine=None, n_channels=3, speeds=None, noise=1.0, freedom=(8.0, 24.0), moments=False,
+    rotating_kg_m=0.0, rotating_deg=0.0, extra=None, structure=None, rpm_error=None, seen=(1, 2, 3, 4),
+) -> MadeOrders:  # fmt: skip
     """Orders of ``engine`` with ``residual_kg`` left by its shafts; ``extra``: {order: (axis, newtons at 1000 rpm)}."""
     engine = engine_of() if engine is None else engine
     structure = Structure(rng, n_channels=n_channels) if structure is None else structure
@@ -143,14 +130,12 @@ def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> x
     dims = ("channel", "speed", "order")
     return xr.Dataset(
         {
-            "coherent_amplitude": (dims, np.abs(amplitude)),
-            "phase": (dims, np.degrees(np.angle(amplitude))),
-            "standard_error": (dims, error),
-            "degrees_of_freedom": (dims, np.array(freedom)),
+            "coherent_amplitude": (dims, np.abs(amplitude)), "phase": (dims, np.degrees(np.angle(amplitude))),
+            "standard_error": (dims, error), "degrees_of_freedom": (dims, np.array(freedom)),
         },
         coords={**named("XYZ"[: len(amplitude)]), "speed": rpm, "order": order},
         attrs={"phase_reference": reference, "cycle_known": 1, "revs_per_cycle": 2},
-    )
+    )  # fmt: skip
 
 
 def modal_of(rng, structure, *, frequency_error=3e-4, damping_error=0.03) -> ModalFit:

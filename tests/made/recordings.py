@@ -16,13 +16,9 @@ Signal = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def manifest(
-    files: str = "a.h5",
-    *,
-    name: str = "made",
-    cycle: str = "rotor",
-    channels: Mapping[str, Mapping[str, object]] | None = None,
-    **tables: object,
-) -> str:
+    files: str = "a.h5", *, name: str = "made", cycle: str = "rotor",
+    channels: Mapping[str, Mapping[str, object]] | None = None, **tables: object,
+) -> str:  # fmt: skip
     """Text of a manifest: its ``channels`` by name, in m/s2 where nothing else is said, and its other ``tables``."""
     listed = [{"name": key, "unit": "m/s2", **more} for key, more in (channels or {"Z": {}}).items()]
     head = {"schema_version": 1, "test": {"name": name, "cycle": cycle}, "recordings": {"files": [files]}}
@@ -66,13 +62,10 @@ def shaft(time_s: np.ndarray, angle_rev: np.ndarray, speed_rpm: np.ndarray, *, r
             "time": ("knot", time_s, {"units": "s"}),
         },
         attrs={
-            "recording": "made",
-            "phase_reference": "tdc",
-            "cycle_known": 1,
-            "revs_per_cycle": revs_per_cycle,
+            "recording": "made", "phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": revs_per_cycle,
             "n_pulses": 0,
         },
-    )
+    )  # fmt: skip
     check_dataset(made, "shaft_angle")
     return made
 
@@ -137,14 +130,9 @@ def total(*parts: Signal) -> Signal:
 
 
 def frames_of(
-    spectrum: np.ndarray,
-    *,
-    speed_rpm: float | np.ndarray = 1000.0,
-    revs: int = 2,
-    overlap: float = 0.5,
-    start_rev: float = 0.0,
-    **attrs: object,
-) -> xr.Dataset:
+    spectrum: np.ndarray, *, speed_rpm: float | np.ndarray = 1000.0, revs: int = 2, overlap: float = 0.5,
+    start_rev: float = 0.0, **attrs: object,
+) -> xr.Dataset:  # fmt: skip
     """OrderFrames with the complex ``spectrum`` (channels, frames, orders) on bins from 0, ``revs`` bins an order."""
     n_frames = spectrum.shape[1]
     made = xr.Dataset(

@@ -7,18 +7,9 @@ from made.recordings import held, sampled
 
 
 def strikes(
-    *,
-    order: float,
-    size: float,
-    speed_rpm: float,
-    seed: int,
-    rate_hz: float = 12_800.0,
-    duration_s: float = 5.0,
-    jitter: float = 0.0,
-    modulated_by: float | None = None,
-    n_channels: int = 1,
-    revs_per_cycle: int = 1,
-) -> tuple[xr.Dataset, xr.Dataset]:
+    *, order: float, size: float, speed_rpm: float, seed: int, rate_hz: float = 12_800.0, duration_s: float = 5.0,
+    jitter: float = 0.0, modulated_by: float | None = None, n_channels: int = 1, revs_per_cycle: int = 1,
+) -> tuple[xr.Dataset, xr.Dataset]:  # fmt: skip
     """Recording and ShaftAngle: ``size`` (0: none) at ``order`` strikes a revolution ring 3200 Hz in noise of 1 m/s2.
 
     ``jitter``: standard deviation of a period as its share; ``modulated_by``: order by which the size comes and goes.

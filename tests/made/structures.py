@@ -137,15 +137,9 @@ def swept_up(made: Structure, seed: int, *, seconds: float) -> xr.Dataset:
 
 
 def drawn(
-    seed: int,
-    *,
-    n_speeds: int,
-    n_modes: int | None = None,
-    lowest_hz: float = 25.0,
-    highest_hz: float = 450.0,
-    damping: tuple[float, float] = (0.002, 0.1),
-    orders: str = "some",
-) -> Structure:
+    seed: int, *, n_speeds: int, n_modes: int | None = None, lowest_hz: float = 25.0, highest_hz: float = 450.0,
+    damping: tuple[float, float] = (0.002, 0.1), orders: str = "some",
+) -> Structure:  # fmt: skip
     """Random structure of ``seed``: modes no nearer than six times the mean of their half widths.
 
     ``orders``: "none", "some" or, as an engine's, "all" half orders up to 12.
@@ -169,17 +163,11 @@ def drawn(
     forces = (parts[0] + 1j * parts[1]) * np.exp(random.uniform(-1.0, 2.0, (len(order), 1)))
     low, high = random.uniform(600.0, 1000.0), random.uniform(1800.0, 3500.0)
     return Structure(
-        natural_hz=f,
-        damping=zeta,
-        shape=shape,
-        drive=drive,
-        noise=np.exp(random.uniform(np.log(0.1), np.log(0.4), n_channels)),
-        speed_rpm=np.linspace(low, high, n_speeds),
-        duration_s=float(random.uniform(5.0, 15.0)),
-        order=order,
-        order_force=forces,
+        natural_hz=f, damping=zeta, shape=shape, drive=drive,
+        noise=np.exp(random.uniform(np.log(0.1), np.log(0.4), n_channels)), speed_rpm=np.linspace(low, high, n_speeds),
+        duration_s=float(random.uniform(5.0, 15.0)), order=order, order_force=forces,
         gain=np.linspace(1.0, random.uniform(1.0, 1.5), n_speeds),
-    )
+    )  # fmt: skip
 
 
 def with_pair(made: Structure, apart: float) -> Structure:

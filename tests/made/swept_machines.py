@@ -30,13 +30,9 @@ class SweptMachine:
 
 
 def drawn(
-    rng: np.random.Generator,
-    *,
-    rpm: tuple[float, float] = (600.0, 6000.0),
-    duration_s: float = 8.0,
-    slip: float = 0.0,
+    rng: np.random.Generator, *, rpm: tuple[float, float] = (600.0, 6000.0), duration_s: float = 8.0, slip: float = 0.0,
     modes: int | None = None,
-) -> SweptMachine:
+) -> SweptMachine:  # fmt: skip
     """A machine of 1 to 6 modes and three to five orders; one of these slips by the share ``slip`` if that is not 0."""
     n_modes = int(rng.integers(1, 7)) if modes is None else modes
     numbers = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 3.5, 4.0, 5.5, 6.0, 8.0, 9.0])
@@ -45,16 +41,11 @@ def drawn(
     if slip:
         slips[int(rng.choice(np.flatnonzero(orders >= 2.0)))] = slip
     return SweptMachine(
-        orders=orders,
-        size=np.exp(rng.uniform(np.log(0.1), 0.0, len(orders))),
-        slip=slips,
+        orders=orders, size=np.exp(rng.uniform(np.log(0.1), 0.0, len(orders))), slip=slips,
         natural_hz=np.sort(np.exp(rng.uniform(np.log(25.0), np.log(500.0), n_modes))),
-        damping=np.exp(rng.uniform(np.log(0.003), np.log(0.08), n_modes)),
-        shares=rng.normal(size=(3, n_modes)),
-        rpm=rpm,
-        duration_s=duration_s,
-        noise=0.02,
-    )
+        damping=np.exp(rng.uniform(np.log(0.003), np.log(0.08), n_modes)), shares=rng.normal(size=(3, n_modes)),
+        rpm=rpm, duration_s=duration_s, noise=0.02,
+    )  # fmt: skip
 
 
 def recorded(machine: SweptMachine, rng: np.random.Generator) -> tuple[xr.Dataset, xr.Dataset]:

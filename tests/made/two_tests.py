@@ -27,16 +27,10 @@ Phasor = Callable[[float], complex]
 
 
 def made_test(
-    lines: Mapping[float, Phasor],
-    *,
-    name: str = "made",
-    seed: int = 0,
-    speeds: Sequence[float] = SPEEDS_RPM,
-    duration_s: float = 16.0,
-    run: Mapping[str, Any] | None = None,
-    modes: Sequence[dict[str, Any]] = (),
+    lines: Mapping[float, Phasor], *, name: str = "made", seed: int = 0, speeds: Sequence[float] = SPEEDS_RPM,
+    duration_s: float = 16.0, run: Mapping[str, Any] | None = None, modes: Sequence[dict[str, Any]] = (),
     channels: Sequence[str] = ("A",),
-) -> Tested:
+) -> Tested:  # fmt: skip
     """A test with ``lines`` (by order) in white noise; ``run`` is merged into what run.json states."""
     orders = []
     for number, rpm in enumerate(speeds):
@@ -79,22 +73,16 @@ def stated(name: str, channels: Sequence[str] = ("A",)) -> dict[str, Any]:
     """What run.json states of a made test."""
     columns = [{"name": c, "unit": "m/s2", "quantity": "acceleration", "sensitivity": None} for c in channels]
     return {
-        "schema_version": 1,
-        "test": name,
-        "code_sha256": "0" * 64,
+        "schema_version": 1, "test": name, "code_sha256": "0" * 64,
         "versions": {"crankorder": "0.1.0", "numpy": "2.4.6"},
         "inputs": [{"name": f"{name}.h5", "sha256": name.encode().hex().rjust(64, "0")[-64:], "bytes": 1}],
         "manifest": {
             "test": {"cycle": "rotor", "name": name, "engine": None},
-            "sampling": {"domain": "time", "rate_hz": RATE_HZ},
-            "channels": columns,
-            "encoder": {"kind": "square", "pulses_per_rev": 60},
-            "bearings": [],
+            "sampling": {"domain": "time", "rate_hz": RATE_HZ}, "channels": columns,
+            "encoder": {"kind": "square", "pulses_per_rev": 60}, "bearings": [],
         },
-        "engine": None,
-        "settings": json.loads(SETTINGS.model_dump_json()),
-        "quality": [],
-    }
+        "engine": None, "settings": json.loads(SETTINGS.model_dump_json()), "quality": [],
+    }  # fmt: skip
 
 
 def written(test: Tested, out: Path) -> Path:

@@ -51,17 +51,7 @@ class Course:
         return at, angle + 0.123, speed
 
 
-def recording_of(
-    course,
-    laws,
-    *,
-    encoder,
-    seed,
-    noise=0.01,
-    rate_hz=RATE_HZ,
-    decimate=5,
-    name="sweep",
-):
+def recording_of(course, laws, *, encoder, seed, noise=0.01, rate_hz=RATE_HZ, decimate=5, name="sweep"):
     """BandRecording (one channel) and ShaftAngle; ``laws`` are the complex amplitudes of orders over speed [rpm]."""
     at, angle, speed = course.known(rate_hz)
     signal = np.zeros(len(at))

@@ -25,14 +25,10 @@ def reference_levels(shared_data):
 @pytest.mark.parametrize(
     ("column", "order", "bar_db", "spread_db"),
     [
-        (1, 2.0, 0.2, 0.8),
-        (2, 4.0, 0.2, 0.8),
-        (3, 10.0, 0.2, 0.8),
-        (4, 15.0, 0.4, 0.8),
-        (5, 30.0, 0.2, 1.0),
+        (1, 2.0, 0.2, 0.8), (2, 4.0, 0.2, 0.8), (3, 10.0, 0.2, 0.8), (4, 15.0, 0.4, 0.8), (5, 30.0, 0.2, 1.0),
         (6, 61.2, 0.7, 1.1),
     ],
-)
+)  # fmt: skip
 def test_order_levels_of_a_run_up_equal_a_commercial_programs(
     analysed, reference_levels, column, order, bar_db, spread_db
 ):

@@ -163,14 +163,12 @@ def _order_records(tracks, unit):
 def _mode_records(channels):
     modes = [
         {
-            **_within("frequency_hz", mode_hz, 0.3),
-            **_within("damping_ratio", DAMPING, 0.003),
-            "channels": list(channels),
-            "evidence": "stands 9.1 dB above the broadband floor at every speed",
+            **_within("frequency_hz", mode_hz, 0.3), **_within("damping_ratio", DAMPING, 0.003),
+            "channels": list(channels), "evidence": "stands 9.1 dB above the broadband floor at every speed",
             "explained_by": "mode",
         }
         for mode_hz in MODES_HZ
-    ]
+    ]  # fmt: skip
     mains = {**modes[0], "frequency_hz": 300.0, "frequency_hz_ci95": [299.9, 300.1], "damping_ratio": None}
     mains |= {"damping_ratio_ci95": None, "explained_by": "mains", "evidence": "5 x 60 Hz, a pure tone"}
     return [*modes, mains]
@@ -180,27 +178,22 @@ def _findings(tracks, channels, unit, quantity, name):
     speeds = tracks.speed.values
     crossings = [
         {
-            "order": order,
-            "mode_hz": mode_hz,
-            "rpm": 60 * mode_hz / order,
+            "order": order, "mode_hz": mode_hz, "rpm": 60 * mode_hz / order,
             "in_range": bool(speeds[0] - 25 <= 60 * mode_hz / order <= speeds[-1] + 25),
             "excited": (order, mode_hz) in {(4.0, 115.0), (8.0, 230.0), (2.0, 60.0), (5.5, 172.0), (10.0, 187.0)},
         }
         for order in tracks.order.values.tolist()
         for mode_hz in MODES_HZ
-    ]
+    ]  # fmt: skip
     bearing = {
         "name": "jack shaft", "line": "N*fs", **_within("order", 5.5, 0.002), "order_expected": 5.5,
         **_within("amplitude", 0.12, 0.01), "channel": channels[-1], "unit": unit,
         "verdict": "present, the same at all speeds",
     }  # fmt: skip
     return {
-        "schema_version": 1,
-        "test": name,
+        "schema_version": 1, "test": name,
         "channels": [{"name": channel, "unit": unit, "quantity": quantity} for channel in channels],
-        "orders": _order_records(tracks, unit),
-        "modes": _mode_records(channels),
-        "crossings": crossings,
+        "orders": _order_records(tracks, unit), "modes": _mode_records(channels), "crossings": crossings,
         "bearings": [bearing] if 5.5 in tracks.order.values else [],
         "lines": [
             {"channel": channels[0], "frequency_hz": 300.0, "explained_by": "mains", "amplitude": 0.01, "unit": unit},
@@ -216,7 +209,7 @@ def _findings(tracks, channels, unit, quantity, name):
             {"recording": "rpm_0450.h5", "flag": "clipped", "severity": "suspect", "detail": "0.4 % of channel X"},
             {"recording": "rpm_0900.h5", "flag": "encoder_missing_pulse", "severity": "info", "detail": "1 repaired"},
         ],
-    }
+    }  # fmt: skip
 
 
 def drawn_test(
@@ -230,11 +223,9 @@ def drawn_test(
     coords = named(channels, unit, quantity)
     tracks = _tracks(speeds, coords, orders, gain)
     drawn = DrawnTest(
-        _campbell(speeds, coords, orders, gain),
-        _order_map(speeds, coords, gain),
-        tracks,
+        _campbell(speeds, coords, orders, gain), _order_map(speeds, coords, gain), tracks,
         _findings(tracks, channels, unit, quantity, name),
-    )
+    )  # fmt: skip
     for dataset, noun in ((drawn.campbell, "campbell_map"), (drawn.order_map, "order_map"), (tracks, "order_tracks")):
         check_dataset(dataset, noun)
     return drawn

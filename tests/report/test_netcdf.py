@@ -137,16 +137,13 @@ def test_attributes_of_any_kind_can_be_written(tmp_path):
 
 def test_records_become_columns_with_units_and_missing_numbers_are_nan():
     findings = {
-        "schema_version": 1,
-        "test": "t",
-        "unexplained_energy_fraction": None,
-        "balance": None,
+        "schema_version": 1, "test": "t", "unexplained_energy_fraction": None, "balance": None,
         "modes": [
             {"frequency_hz": 60.0, "frequency_hz_ci95": [59.9, 60.1], "damping_ratio": None, "channels": ["X", "Z"]},
             {"frequency_hz": 115.0, "frequency_hz_ci95": None, "damping_ratio": 0.01, "channels": []},
         ],
         "crossings": [{"order": 4.0, "excited": True}, {"order": 8.0, "excited": False}],
-    }
+    }  # fmt: skip
     tables = findings_datasets(findings)
     assert sorted(tables) == ["findings", "findings/crossings", "findings/modes"]
     modes = tables["findings/modes"]

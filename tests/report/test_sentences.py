@@ -73,13 +73,10 @@ def test_an_order_is_not_called_by_a_half_order_outside_its_interval():
 @pytest.mark.parametrize(
     ("order", "half", "text"),
     [
-        (0.052, 1e-6, "0.052"),
-        (0.262, 1e-6, "0.262"),
-        (0.0309278, 1e-7, "0.03093"),
-        (7.3124, 0.2, "7.3"),
+        (0.052, 1e-6, "0.052"), (0.262, 1e-6, "0.262"), (0.0309278, 1e-7, "0.03093"), (7.3124, 0.2, "7.3"),
         (5.4873, 1e-3, "5.487"),
     ],
-)
+)  # fmt: skip
 def test_an_order_is_called_by_the_digits_that_its_interval_carries_in_every_sentence(order, half, text, campaign):
     findings = copy.deepcopy(campaign.findings)
     record = next(one for one in findings["orders"] if (one["channel"], one["order"]) == ("Z", 2.0))

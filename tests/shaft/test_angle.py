@@ -146,14 +146,6 @@ def test_knots_reach_one_tooth_beyond_the_pulses_and_no_further(known_shaft):
     assert knots.time_s[-1] - time_s[-1] == pytest.approx(1e-3, rel=1e-3)
 
 
-def test_the_outermost_knot_alone_is_known():
-    for place in [0, -1]:
-        time_s = np.linspace(0.0, 8.0, 50)
-        knots = {"knot_time_s": time_s, "knot_angle_rev": -0.3 + 5.0 * time_s, "knot_speed_rpm": np.full(50, 300.0)}
-        assert time_at(knots["knot_angle_rev"][place], **knots) == pytest.approx(time_s[place], abs=1e-12)
-        assert angle_at(time_s[place], **knots) == pytest.approx(knots["knot_angle_rev"][place], abs=1e-12)
-
-
 # Angle on wheels whose teeth are few and uneven: no worse than a spline through the pulses, with an honest error.
 
 

@@ -29,11 +29,9 @@ def decoded(pulse_s, pulses_per_rev, *, noise_s, edge_step_s=0.0):
         pulse_s, np.arange(pulse_s.size), teeth_per_rev=pulses_per_rev, noise_s=noise_s, settings=SETTINGS
     )
     values = {
-        "time": (knots.time_s, "s"),
-        "crank_angle": (knots.angle_rev, "rev"),
-        "speed": (knots.speed_rpm, "min-1"),
+        "time": (knots.time_s, "s"), "crank_angle": (knots.angle_rev, "rev"), "speed": (knots.speed_rpm, "min-1"),
         "standard_error": (knots.standard_error_rev, "rev"),
-    }
+    }  # fmt: skip
     attrs = {
         "recording": "made", "phase_reference": "none", "cycle_known": 0, "revs_per_cycle": 2,
         "n_pulses": pulse_s.size, "teeth_per_rev": float(pulses_per_rev), "cut_off_order": knots.cut_off_order,
@@ -151,11 +149,9 @@ def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft, pu
 @pytest.mark.parametrize("pulses_per_rev", [60, 6, 1])
 def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft, pulses_per_rev):
     dataset = decoded(
-        rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(pulses_per_rev) + 3e-6),
-        pulses_per_rev,
-        noise_s=12**-0.5 / RATE_HZ,
-        edge_step_s=1 / RATE_HZ,
-    )
+        rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(pulses_per_rev) + 3e-6), pulses_per_rev,
+        noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ,
+    )  # fmt: skip
     step = audit_of(dataset).causes[2]
     assert step.tone_rev.size == 0
     # an edge may be off by half a sample, which is 0.06° at 1000 rpm

@@ -105,17 +105,10 @@ def test_a_trace_without_pulses_is_refused_with_a_remedy():
 @pytest.mark.parametrize(
     "name",
     [
-        "E0FULLOAD4EngineOff.txt",
-        "ENGINEOFF.txt",
-        "ENGINEOFF2.txt",
-        "full_load.txt",
-        "E0FULLOAD1.txt",
-        "E0FULLOAD2.txt",
-        "E0HALFLOAD1.txt",
-        "E0NOLOAD1.txt",
-        "E10FULLLOAD1.txt",
+        "E0FULLOAD4EngineOff.txt", "ENGINEOFF.txt", "ENGINEOFF2.txt", "full_load.txt", "E0FULLOAD1.txt",
+        "E0FULLOAD2.txt", "E0HALFLOAD1.txt", "E0NOLOAD1.txt", "E10FULLLOAD1.txt",
     ],
-)
+)  # fmt: skip
 def test_a_real_pickup_gives_58_teeth_between_gaps_at_every_load(genset_pickup, name):
     found = pulses(genset_pickup(name), kind="analogue", rate_hz=100_000.0, pulses_per_rev=60)
     interval = np.diff(found.time_s)

@@ -180,13 +180,10 @@ def test_a_trace_whose_converter_overflows_is_refused_by_the_count(trace, record
 
 def test_real_wheels_are_found_by_themselves(trace):
     rows = [
-        ("4b11-running.csv", "rising", "36-2-1"),
-        ("4b11-running-doubled-edge.csv", "falling", "36-2-1"),
-        ("nb2-cranking-good.csv", "rising", "miata-nb"),
-        ("nick_1.csv", "falling", "60-2"),
-        ("noisy-trigger-1.csv", "rising", "36-2"),
-        ("noisy-trigger-2.csv", "falling", "36-2"),
-    ]
+        ("4b11-running.csv", "rising", "36-2-1"), ("4b11-running-doubled-edge.csv", "falling", "36-2-1"),
+        ("nb2-cranking-good.csv", "rising", "miata-nb"), ("nick_1.csv", "falling", "60-2"),
+        ("noisy-trigger-1.csv", "rising", "36-2"), ("noisy-trigger-2.csv", "falling", "36-2"),
+    ]  # fmt: skip
     for name, edge, wheel in rows:
         found = find_pattern(edge_times(trace(name), 1, edge))
         assert found is not None
@@ -198,15 +195,12 @@ def test_real_wheels_are_found_by_themselves(trace):
 @pytest.mark.parametrize(
     ("manifest", "speeds_rpm", "reference", "cycle_known"),
     [
-        ("trigger_36_2_1", [1412.0, 1412.0], "index", 1),
-        ("trigger_60_2", [1691.0], "index", 0),
-        ("trigger_gm_24x", [138.0], "index", 0),
-        ("trigger_miata_nb", [904.5], "none", 0),
-        ("trigger_24_plus_1", [1056.0], "index", 1),
-        ("trigger_36_2", [317.0, 221.7], "index", 0),
+        ("trigger_36_2_1", [1412.0, 1412.0], "index", 1), ("trigger_60_2", [1691.0], "index", 0),
+        ("trigger_gm_24x", [138.0], "index", 0), ("trigger_miata_nb", [904.5], "none", 0),
+        ("trigger_24_plus_1", [1056.0], "index", 1), ("trigger_36_2", [317.0, 221.7], "index", 0),
         ("trigger_adc", [322.0], "index", 1),
     ],
-)
+)  # fmt: skip
 def test_every_trace_reads_by_its_manifest(shared_data, manifest, speeds_rpm, reference, cycle_known):
     """Mean speed of the last crank revolution; the stated figures of shorter spans are checked above."""
     limits, folder = load_settings(), shared_data / "crank_triggers"

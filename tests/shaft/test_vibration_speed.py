@@ -22,15 +22,7 @@ RATE_HZ = 4096.0
 Motion = Callable[[np.ndarray], np.ndarray]
 
 
-def vibration(
-    angle_rev,
-    duration_s,
-    *,
-    orders,
-    noise=0.35,
-    tones=None,
-    seed=1,
-):
+def vibration(angle_rev, duration_s, *, orders, noise=0.35, tones=None, seed=1):
     """One channel of orders ``{order: amplitude}`` in white noise of the given standard deviation, with tones [Hz]."""
     time_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     signal = noise * np.random.default_rng(seed).standard_normal(time_s.size)
@@ -61,12 +53,9 @@ def speed_rpm(angle_rev, time_s):
 SOME = {1.0: 1.0, 2.0: 0.7, 3.0: 0.3, 4.0: 0.4}
 EVEN = {2.0: 1.0, 4.0: 0.5, 6.0: 0.3}
 MOTIONS = {
-    "steady": steady(30.0),
-    "run-up": sweep(5.0, 100.0, 10.0),
-    "coast-down": sweep(100.0, 6.0, 10.0),
-    "wobbling": wobbling(30.0, 0.02, 1.3),
-    "hunting": wobbling(30.0, 0.1, 0.7),
-}
+    "steady": steady(30.0), "run-up": sweep(5.0, 100.0, 10.0), "coast-down": sweep(100.0, 6.0, 10.0),
+    "wobbling": wobbling(30.0, 0.02, 1.3), "hunting": wobbling(30.0, 0.1, 0.7),
+}  # fmt: skip
 
 
 @cache

@@ -102,9 +102,11 @@ def test_an_index_mark_lost_or_extra_is_flagged_and_does_no_harm(known_shaft, re
 
 
 def wheel_with_gap(shaft, pulses_per_rev, missing):
+    """Times of the pulses of a wheel that lacks its last teeth, and the number of each, counted on."""
     pulse_s = shaft.pulse_time_s(pulses_per_rev)
-    tooth = np.round(shaft.angle_rev(pulse_s) * pulses_per_rev).astype(int) % pulses_per_rev
-    return pulse_s[tooth < pulses_per_rev - missing]
+    tooth = np.round(shaft.angle_rev(pulse_s) * pulses_per_rev).astype(int)
+    on_wheel = tooth % pulses_per_rev < pulses_per_rev - missing
+    return pulse_s[on_wheel], tooth[on_wheel]
 
 
 def test_too_many_repairs_are_refused(known_shaft):
@@ -150,7 +152,7 @@ def test_an_index_without_a_place_gives_no_phase_and_says_so(known_shaft, record
     for missing in [0, 2]:
         for marks in ["none", "anywhere"]:
             shaft = known_shaft(900.0)
-            pulse_s = wheel_with_gap(shaft, 60, missing)
+            pulse_s, _ = wheel_with_gap(shaft, 60, missing)
             index_s = np.sort(np.random.default_rng(4).uniform(0.0, 3.0, 40)) if marks == "anywhere" else np.empty(0)
             angle = shaft_angle(
                 recording_of(
@@ -199,10 +201,7 @@ def test_a_pulse_lost_in_the_first_or_last_turn_leaves_every_number_right_and_is
     known_shaft, teeth, missing, irregularity, start_rev
 ):
     shaft = known_shaft(1500.0, start_rev=start_rev, irregularity=irregularity, duration_s=0.13)
-    pulse_s = shaft.pulse_time_s(teeth)
-    true = np.round(shaft.angle_rev(pulse_s) * teeth).astype(int)
-    on_wheel = true % teeth < teeth - missing
-    pulse_s, true = pulse_s[on_wheel], true[on_wheel]
+    pulse_s, true = wheel_with_gap(shaft, teeth, missing)
     turn, last = teeth - missing, pulse_s.size - 1
     for lost in sorted({*range(1, turn), *range(turn, last - turn, 3), *range(last - turn, last)}):
         left_s = np.delete(pulse_s, lost)
@@ -220,10 +219,7 @@ def test_a_false_pulse_anywhere_and_in_a_gap_is_removed_and_leaves_every_number_
     known_shaft, teeth, missing, share
 ):
     shaft = known_shaft(1500.0, duration_s=0.17)
-    pulse_s = shaft.pulse_time_s(teeth)
-    true = np.round(shaft.angle_rev(pulse_s) * teeth).astype(int)
-    on_wheel = true % teeth < teeth - missing
-    pulse_s, true = pulse_s[on_wheel], true[on_wheel]
+    pulse_s, true = wheel_with_gap(shaft, teeth, missing)
     for before in range(2, pulse_s.size - 3):
         false_s = pulse_s[before] + share * (pulse_s[before + 1] - pulse_s[before])
         train_s = np.sort(np.append(pulse_s, false_s))

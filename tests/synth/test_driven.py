@@ -61,13 +61,7 @@ def plain_force(phi, omega, alpha, gas_gain=1.0):
     return masses + PUSHES[:, 0] @ (grown * cosine) + PUSHES[:, 1] @ (grown * sine)
 
 
-def integrated(
-    force_of_time,
-    sample_s,
-    *,
-    borders_s,
-    start,
-):
+def integrated(force_of_time, sample_s, *, borders_s, start):
     """Channels at ``sample_s``: q̈ + 2ζω q̇ + ω² q = drive·f from border to border, DOP853 with 1e-13."""
     found, state = [], start
     for begin, end in pairwise(borders_s):
@@ -123,12 +117,10 @@ def course(motion):
 
 
 PROFILES = {
-    "run-up": ((0.0, 300.0), (0.25, 5000.0)),
-    "corners": ((0.04, 900.0), (0.1, 2700.0), (0.16, 2700.0), (0.2, 300.0)),
+    "run-up": ((0.0, 300.0), (0.25, 5000.0)), "corners": ((0.04, 900.0), (0.1, 2700.0), (0.16, 2700.0), (0.2, 300.0)),
     "corners between samples": ((0.04003, 900.0), (0.10017, 2700.0), (0.1600071, 2700.0), (0.2, 300.0)),
-    "reversal": ((0.02, 700.0), (0.2, -1500.0)),
-    "from standstill": ((0.04, 0.0), (0.2, 2000.0)),
-}
+    "reversal": ((0.02, 700.0), (0.2, -1500.0)), "from standstill": ((0.04, 0.0), (0.2, 2000.0)),
+}  # fmt: skip
 
 
 @pytest.mark.cases(1)
@@ -171,11 +163,9 @@ def test_an_uneven_rotation_has_its_past(name):
     motion, at = UNEVEN[name], course(UNEVEN[name])
     times, past_s = np.arange(300) / RATE_HZ, 0.5
     expected = integrated(
-        lambda time: plain_force(*at(time)),
-        times,
-        borders_s=(-past_s, times[-1] + 0.5 / RATE_HZ),
+        lambda time: plain_force(*at(time)), times, borders_s=(-past_s, times[-1] + 0.5 / RATE_HZ),
         start=steady_start(1500.0, at(-past_s)[0]),
-    )
+    )  # fmt: skip
     found = driven_signal(POLES, [(lines(), motion)], rate_hz=RATE_HZ, n_samples=300)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
@@ -208,13 +198,7 @@ def test_gains_step_between_cycles_to_the_very_angle(corners):
     expected = integrated(
         force, times, borders_s=tuple(sorted(set(inner))), start=steady_start(corners[0][1], at(-past_s)[0])
     )
-    found = driven_signal(
-        POLES,
-        [(lines(gas=True), motion)],
-        rate_hz=RATE_HZ,
-        n_samples=600,
-        gain_of_cycle=factor,
-    )
+    found = driven_signal(POLES, [(lines(gas=True), motion)], rate_hz=RATE_HZ, n_samples=600, gain_of_cycle=factor)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 

@@ -11,13 +11,7 @@ from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.wheel import number_teeth
-from crankorder.synth.encoder import (
-    encoder_signals,
-    encoder_turn,
-    passed_pulses,
-    sampled_encoder,
-    wheel_of,
-)
+from crankorder.synth.encoder import encoder_signals, encoder_turn, passed_pulses, sampled_encoder, wheel_of
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import DamagedLine, DoublePulses, Encoder, LostPulses
 from made.recordings import sampled as recording_of
@@ -87,15 +81,13 @@ def test_the_level_is_a_function_of_angle_also_backwards(motion, missing):
 @pytest.mark.parametrize(
     "wheel",
     [
-        {"pulses_per_rev": 60},
-        {"pulses_per_rev": 60, "ratio": 0.5, "index_to_tdc_deg": -37.0},
-        {"pulses_per_rev": 60, "ratio": 0.5},
-        {"pulses_per_rev": 60, "index_to_tdc_deg": 137.0},
+        {"pulses_per_rev": 60}, {"pulses_per_rev": 60, "ratio": 0.5, "index_to_tdc_deg": -37.0},
+        {"pulses_per_rev": 60, "ratio": 0.5}, {"pulses_per_rev": 60, "index_to_tdc_deg": 137.0},
         {"pulses_per_rev": 60, "missing_teeth": 2, "index": False},
         {"pulses_per_rev": 36, "missing_teeth": 1, "index": False, "index_to_tdc_deg": 84.0},
     ],
     ids=str,
-)
+)  # fmt: skip
 def test_the_decoder_finds_the_angle_from_top_dead_centre(motion, wheel):
     """At 2500 rpm one sample is 0.3°: marks that lie between samples are uncertain by half of that."""
     error = angle_error_deg(motion, Encoder.model_validate(wheel))

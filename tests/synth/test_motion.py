@@ -57,13 +57,10 @@ def _lag_terms(lag, angle, speed):
     share = (lag.reference_rpm / 60 / speed) ** 2
     both, gas = lag.inertia[:, None] + lag.gas[:, None] * share, lag.gas[:, None]
     return {
-        "share": share,
-        "value": (both * phasor).sum(axis=0).real,
-        "by_angle": (turn * both * phasor).sum(axis=0).real,
-        "by_angle_twice": (turn**2 * both * phasor).sum(axis=0).real,
-        "by_share": (gas * phasor).sum(axis=0).real,
+        "share": share, "value": (both * phasor).sum(axis=0).real, "by_angle": (turn * both * phasor).sum(axis=0).real,
+        "by_angle_twice": (turn**2 * both * phasor).sum(axis=0).real, "by_share": (gas * phasor).sum(axis=0).real,
         "by_both": (turn * gas * phasor).sum(axis=0).real,
-    }
+    }  # fmt: skip
 
 
 def test_without_lag_the_motion_is_the_integral_of_profile_and_wobbles():
@@ -191,13 +188,10 @@ def test_a_shaft_that_would_stop_within_the_cycle_is_refused():
 @pytest.mark.parametrize(
     ("corners", "wobbles"),
     [
-        ((), ()),
-        (((1.0, 5.0), (1.0, 6.0)), ()),
-        (((0.0, float("nan")),), ()),
-        (((0.0, 900.0),), ((0.0, 5.0, 0.0),)),
+        ((), ()), (((1.0, 5.0), (1.0, 6.0)), ()), (((0.0, float("nan")),), ()), (((0.0, 900.0),), ((0.0, 5.0, 0.0),)),
         (((0.0, 900.0),), ((1.0, float("inf"), 0.0),)),
     ],
-)
+)  # fmt: skip
 def test_a_motion_that_is_none_is_refused(corners, wobbles):
     with pytest.raises(RequestError):
         Motion(start_rev=0.0, corners=corners, wobbles=wobbles)

@@ -219,12 +219,9 @@ def test_behind_a_filter_the_ringing_obeys_the_equations_of_both(resonance_hz):
     def motion(_, state):
         x, v, y, w, z = state  # oscillator, two-pole low-pass, what the coupling has charged itself to
         return [
-            v,
-            -2 * damping_ratio * natural * v - natural**2 * x,
-            w,
-            corner**2 * (x - y) - np.sqrt(2) * corner * w,
+            v, -2 * damping_ratio * natural * v - natural**2 * x, w, corner**2 * (x - y) - np.sqrt(2) * corner * w,
             coupling * (y - z),
-        ]
+        ]  # fmt: skip
 
     times = np.arange(n) / rate_hz
     later = times[times > struck_s]

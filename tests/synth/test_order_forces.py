@@ -33,14 +33,10 @@ ORDERS = (0.5, 1.0, 1.5, 2.0, 4.0, 20.0, 5.37, -1.0, 0.0, 33.5, 2.0)
 def some_lines(order=ORDERS, **changes):
     n = len(order)
     parts = {
-        "order": np.array(order),
-        "amplitude": RNG.normal(size=(6, n)) + 1j * RNG.normal(size=(6, n)),
-        "at_speed_rpm": np.linspace(800.0, 1200.0, n),
-        "exponent": np.linspace(0.0, 3.0, n),
-        "inertia": np.zeros(n, dtype=bool),
-        "gas": np.arange(n) % 3 == 1,
-        "cause": tuple(f"line {k}" for k in range(n)),
-    }
+        "order": np.array(order), "amplitude": RNG.normal(size=(6, n)) + 1j * RNG.normal(size=(6, n)),
+        "at_speed_rpm": np.linspace(800.0, 1200.0, n), "exponent": np.linspace(0.0, 3.0, n),
+        "inertia": np.zeros(n, dtype=bool), "gas": np.arange(n) % 3 == 1, "cause": tuple(f"line {k}" for k in range(n)),
+    }  # fmt: skip
     return ForceLines(**(parts | changes))
 
 
@@ -229,12 +225,10 @@ def test_a_lag_without_a_cycle_and_a_shaft_that_stops_are_refused():
 @pytest.mark.parametrize(
     "parts",
     [
-        ((2.0, 1.5, 30.0),),
-        ((0.5, 3.0, 0.0), (2.0, 10.0, 200.0), (2.0, 4.0, 10.0)),
-        ((1.0, 45.0, 0.0), (3.0, 30.0, 90.0)),
-        ((1.0, 2.0, 0.0), (5.3, 5.0, 50.0)),
+        ((2.0, 1.5, 30.0),), ((0.5, 3.0, 0.0), (2.0, 10.0, 200.0), (2.0, 4.0, 10.0)),
+        ((1.0, 45.0, 0.0), (3.0, 30.0, 90.0)), ((1.0, 2.0, 0.0), (5.3, 5.0, 50.0)),
     ],
-)
+)  # fmt: skip
 def test_the_speed_has_the_given_orders_by_crank_angle_and_no_others(parts):
     lag = lag_by_order(tuple(SpeedOrder(order=o, percent=p, phase_deg=d) for o, p, d in parts))
     angle, speed, _ = Motion(start_rev=0.13, corners=((0.0, 1200.0),), lag=lag).at(np.linspace(0, 0.5, 4001))

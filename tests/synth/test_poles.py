@@ -9,12 +9,10 @@ from made.structures import frequency_response
 
 RNG = np.random.default_rng(4)
 STRUCTURE = Structure(
-    frequency_hz=np.array([60.0, 115.0, 1900.0]),
-    damping_ratio=np.array([0.05, 0.003, 0.3]),
-    sensor_per_kg=RNG.normal(size=(3, 2)) + 1j * RNG.normal(size=(3, 2)),
-    drive=RNG.normal(size=(3, 6)),
+    frequency_hz=np.array([60.0, 115.0, 1900.0]), damping_ratio=np.array([0.05, 0.003, 0.3]),
+    sensor_per_kg=RNG.normal(size=(3, 2)) + 1j * RNG.normal(size=(3, 2)), drive=RNG.normal(size=(3, 6)),
     rigid_body_per_kg=RNG.normal(size=(2, 6)),
-)
+)  # fmt: skip
 FREQUENCY = np.r_[-500.0, -60.0, 0.0, np.geomspace(1, 2e4, 60), 115.0]
 
 
@@ -28,12 +26,9 @@ def test_a_filter_in_series_multiplies_the_response():
 def test_a_mode_on_a_pole_of_the_filter_is_refused():
     filter = low_pass(2, 60.0)
     mode = Structure(
-        frequency_hz=np.array([60.0]),
-        damping_ratio=np.array([np.sqrt(0.5)]),
-        sensor_per_kg=np.ones((1, 1)),
-        drive=np.ones((1, 6)),
-        rigid_body_per_kg=np.zeros((1, 6)),
-    )
+        frequency_hz=np.array([60.0]), damping_ratio=np.array([np.sqrt(0.5)]), sensor_per_kg=np.ones((1, 1)),
+        drive=np.ones((1, 6)), rigid_body_per_kg=np.zeros((1, 6)),
+    )  # fmt: skip
     with pytest.raises(RequestError, match="same pole; found 60 Hz"):
         poles_of(mode, filter)
 

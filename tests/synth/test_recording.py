@@ -22,12 +22,10 @@ IN_CYCLE = InCycleSpeed(
 )
 FIVE_TO_EIGHT_HUNDRED = SpeedProfile(rpm=(500.0, 800.0, 650.0), time_s=(0.4, 2.0, 2.7))
 MOTIONS = {
-    "steady": {},
-    "wander": {"speed_wander": Wander(std_rpm=2.0, corner_hz=1.0)},
-    "in cycle": {"in_cycle_speed": IN_CYCLE},
-    "profile": {"speeds": None, "speed_profile": FIVE_TO_EIGHT_HUNDRED},
+    "steady": {}, "wander": {"speed_wander": Wander(std_rpm=2.0, corner_hz=1.0)},
+    "in cycle": {"in_cycle_speed": IN_CYCLE}, "profile": {"speeds": None, "speed_profile": FIVE_TO_EIGHT_HUNDRED},
     "profile in cycle": {"speeds": None, "speed_profile": FIVE_TO_EIGHT_HUNDRED, "in_cycle_speed": IN_CYCLE},
-}
+}  # fmt: skip
 
 
 def signal_of(scene, run):

@@ -55,19 +55,17 @@ def test_all_faults_of_a_scene_are_told_at_once(small_scene):
 
 ONE_FAULT = [
     ("rate_hz = 8000.0", "rate_hz = nan", "sampling.time.rate_hz"),
-    ('"msu-optical-second"', '"no-such"', "no such engine"),
-    ("duration_s = 3.0", "duration_s = 1e9", "too long"),
+    ('"msu-optical-second"', '"no-such"', "no such engine"), ("duration_s = 3.0", "duration_s = 1e9", "too long"),
     ('source = "acc_z"', 'source = "acc_y"', "same source"),
     ('source = "acc_z"', 'source = "encoder"', "the encoder's dataset"),
     ('source = "acc_z"', 'source = "../z"', "channels.1.source"),
     ("list_rpm = [600.0, 612.5, 600.0]", "first_rpm = 300.0", "give either list_rpm"),
     ("list_rpm = [600.0, 612.5, 600.0]", "list_rpm = []", "1 to 10 000 speeds"),
-    ('domain = "time"', 'domain = "order"', "sampling"),
-    ('line = "BPFO"', 'line = "cage"', "bearing_lines.0.line"),
+    ('domain = "time"', 'domain = "order"', "sampling"), ('line = "BPFO"', 'line = "cage"', "bearing_lines.0.line"),
     ("resonance_hz = 1500.0", "resonance_hz = 9000.0", "resonance above Nyquist; found 9000"),
     ("drive = { Y = 0.9, Z = 0.2 }", "drive = { W = 0.9 }", "modes.1.drive"),
     ('title = "small"', 'title = "small"\nengine_file = "x"', "engine_file: unknown key"),
-]
+]  # fmt: skip
 """What is written in place of what, and what is told of it."""
 
 
@@ -160,19 +158,14 @@ def test_what_no_part_alone_shows_is_told_of_every_effect(small_scene):
     text = small_scene.read_text().replace("force_n = 30.0", 'force_n = 30.0\nshaft = "fan"')
     faults = faults_of(small_scene, text + ASKS)
     for words in (
-        "bearing_impacts.1.peak_m_s2: no such channel; found Q",
-        "tones.1: tone above Nyquist; found 6000 Hz",
+        "bearing_impacts.1.peak_m_s2: no such channel; found Q", "tones.1: tone above Nyquist; found 6000 Hz",
         "encoder_faults.0.lines: the wheel has no such line; found 60; allowed: 0 to 59",
         "signal_faults.0.channels: no such channel; found W",
-        "signal_faults.0.recordings: no such recording; found rpm_9999",
-        "signal_faults.0.at_s: begins after the end",
-        "acquisition.ac_coupling_hz",
-        "injected_orders.0.shaft: no such shaft; found fan; allowed: pump",
-        "other_shafts: two shafts have the same name; found pump",
-        "gas_torque: the engine has no gas",
-        "in_cycle_speed: the shaft would stop within the cycle",
-        "wrong_labels.swapped: no such channel; found V",
-    ):
+        "signal_faults.0.recordings: no such recording; found rpm_9999", "signal_faults.0.at_s: begins after the end",
+        "acquisition.ac_coupling_hz", "injected_orders.0.shaft: no such shaft; found fan; allowed: pump",
+        "other_shafts: two shafts have the same name; found pump", "gas_torque: the engine has no gas",
+        "in_cycle_speed: the shaft would stop within the cycle", "wrong_labels.swapped: no such channel; found V",
+    ):  # fmt: skip
         assert any(words in fault for fault in faults), (words, faults)
 
 
@@ -360,12 +353,10 @@ def test_a_users_engine_travels_with_the_folder(small_scene, tmp_path):
 @pytest.mark.slow
 def test_written_toml_reads_back():
     table = {
-        "text": 'a "quoted"\\ line\nwith \x7f, \x00 and µ',
-        "odd key.h5": {"in it": {"e": "µ"}},
+        "text": 'a "quoted"\\ line\nwith \x7f, \x00 and µ', "odd key.h5": {"in it": {"e": "µ"}},
         "numbers": [1, 2.5, -1e-300, True],
-        "inner": {"deep": {"x": 1.0}, "many": [{"y": 1, "z": {"w": "v"}}, {"y": 2}]},
-        "list": [{"a": []}],
-    }
+        "inner": {"deep": {"x": 1.0}, "many": [{"y": 1, "z": {"w": "v"}}, {"y": 2}]}, "list": [{"a": []}],
+    }  # fmt: skip
     assert tomllib.loads(toml_text(table)) == table
 
 
