@@ -25,8 +25,7 @@ def misses(kind, draws):
         for number, (by_size, by_order) in enumerate(zip(*scene.bounds(), strict=True)):
             line = lines.sighting(number)
             off = [(line.amplitude[0] - abs(scene.phasors[number]), by_size, line.error[0])]
-            if scene.free:
-                off.append((line.order - scene.places[number].turns, by_order, line.order_error))
+            off += [(line.order - scene.places[number].turns, by_order, line.order_error)] * scene.free
             reach = t_quantile(np.array(line.degrees_of_freedom))
             over += [away / bound for away, bound, _ in off]
             inside += [abs(away) < reach * error for away, _, error in off]
@@ -48,8 +47,9 @@ def test_lines_beyond_what_was_recorded_are_none():
 
 def test_without_noise_a_line_is_exact_and_one_that_is_not_there_is_nothing():
     angle = np.arange(48 * 160) / 48 + 3.25
-    frames = frames_of([np.cos(2.0 * np.pi * 5.5 * angle + 0.4)])
-    (held,) = held_recordings(recordings_of([frames]), ["A"])
+    (held,) = held_recordings(recordings_of([frames_of([np.cos(2.0 * np.pi * 5.5 * angle + 0.4)])]), ["A"])
     lines = joint_lines(Band.about(held, 5.0, 6.0), [Place(turns=5.5), Place(turns=5.6)])
     assert lines.sighting(0).phasor[0] == pytest.approx(np.exp(0.4j), abs=1e-9)
     assert abs(lines.sighting(1).phasor[0]) < 1e-9
+    (silent,) = held_recordings(recordings_of([frames_of([np.zeros(len(angle))])]), ["A"])
+    assert joint_lines(Band.about(silent, 5.0, 6.0), [Place(turns=5.5)], free=True).sighting(0).amplitude[0] == 0.0

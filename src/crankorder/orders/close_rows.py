@@ -73,9 +73,9 @@ def close_rows(
         band = Band.about(stretch.held, float(orders.min()), float(orders.max()))
         enough = band is not None and len(band.data) > 2 * len(places)
         fits.append(joint_lines(band, places, free=free, settled=False) if enough and band is not None else None)
-    told = [fit.information for fit in fits if fit is not None]
-    normal = sum((normal for normal, _ in told), np.zeros((count, count)))
-    off, error = _off(normal, sum((score for _, score in told), np.zeros(count)))
+    scores = [fit.information for fit in fits if fit is not None]
+    normal = sum((normal for normal, _ in scores), np.zeros((count, count)))
+    off, error = _off(normal, sum((score for _, score in scores), np.zeros(count)))
     doubt = np.abs(off) + DOUBT * error
     return [_row(stretch, orders, fit, doubt, wanders) for stretch, fit in zip(stretches, fits, strict=True)]
 

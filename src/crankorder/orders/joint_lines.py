@@ -357,7 +357,7 @@ class JointLines:
     def step(self) -> Floats:
         """Gauss-Newton step (free,) of the orders."""
         normal, score = self._scores(1.0 / self.white)
-        return np.asarray(np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), score))
+        return np.asarray(np.linalg.pinv(normal + 1e-9 * np.trace(normal) * np.eye(len(score)), hermitian=True) @ score)
 
     def doubt(self, line: int, covariance: Floats) -> tuple[Floats, Floats]:
         """Variances (channels,) of the phasor of ``line`` along and across it, by ``covariance`` of the numbers."""
