@@ -39,7 +39,6 @@ Recording = NewType("Recording", xr.Dataset)
 """One file as measured: signal[channel, time | crank_angle] with encoder and index pulse times."""
 
 ShaftAngle = NewType("ShaftAngle", xr.Dataset)
-TrueAngle = NewType("TrueAngle", xr.Dataset)
 """Crank angle, speed and their standard error on time knots."""
 
 ShaftSummary = NewType("ShaftSummary", xr.Dataset)
@@ -95,7 +94,6 @@ OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 Truth = NewType("Truth", dict[str, Json])
 """What was put into a synthetic test, in the words of the findings."""
 
-FramesAsShown = NewType("FramesAsShown", xr.Dataset)
 """Order frames by the angle that the encoder shows, swings and all."""
 
 SCHEMAS: dict[Any, str] = {
@@ -103,8 +101,6 @@ SCHEMAS: dict[Any, str] = {
     BandRecording: "recording",
     ShaftAngle: "shaft_angle",
     ShaftSummary: "shaft_summary",
-    FramesAsShown: "order_frames",
-    TrueAngle: "shaft_angle",
     OrderFrames: "order_frames",
     FrequencyFrames: "frequency_frames",
     OrderMap: "order_map",

@@ -46,9 +46,7 @@ from crankorder.orders.swept_tracks import followed_tracks
 from crankorder.orders.track_rows import followed_orders, order_tracks
 from crankorder.orders.true_angle import (
     NAMES,
-    TAKEN,
     Swings,
-    angle_in_truth,
     frames_in_true_angle,
     swings_of_test,
     tracks_in_true_angle,
@@ -59,7 +57,6 @@ from crankorder.quantities import (
     CampbellMap,
     CycleAverage,
     EnvelopeMap,
-    FramesAsShown,
     FrequencyFrames,
     LevelFrames,
     OperatingShapes,
@@ -74,7 +71,6 @@ from crankorder.quantities import (
     RecordingTracks,
     ShaftAngle,
     ShaftSummary,
-    TrueAngle,
     VibrationLevels,
     check_dataset,
     flags_of,
@@ -181,29 +177,10 @@ def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRec
 
 
 @stage
-def frames_as_shown(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> FramesAsShown:
+def frames_by_order(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> OrderFrames:
     """Spectra of whole cycles of ``band``, resampled by the crank angle of ``shaft`` (``settings`` of orders)."""
     limited = band_of_orders(band, shaft, settings=settings.orders)
-    return FramesAsShown(order_frames(limited, shaft, settings=settings.orders))
-
-
-@stage
-def true_angle(shaft: ShaftAngle, shown: FramesAsShown, settings: Settings) -> TrueAngle:
-    """Angle of ``shaft`` without the swing of its encoder that frames ``shown`` by it prove (``settings`` of orders).
-
-    In sweeps alone: where speeds are held it is taken out of the frames of the whole test, which tell more.
-    """
-    swept = bool(shown.attrs.get("swept", 0))
-    return TrueAngle(angle_in_truth(shaft, shown, settings=settings.orders) if swept else shaft)
-
-
-@stage
-def frames_by_order(band: BandRecording, angle: TrueAngle, shown: FramesAsShown, settings: Settings) -> OrderFrames:
-    """Frames ``shown`` by the encoder; where its ``angle`` was put right, ``band`` again (``settings`` of orders)."""
-    if TAKEN not in angle.attrs:
-        return OrderFrames(shown)
-    limited = band_of_orders(band, angle, settings=settings.orders)
-    return OrderFrames(order_frames(limited, angle, settings=settings.orders))
+    return OrderFrames(order_frames(limited, shaft, settings=settings.orders))
 
 
 @stage
@@ -214,9 +191,9 @@ def frames_by_frequency(band: BandRecording, shaft: ShaftAngle, settings: Settin
 
 @stage
 def tracks_of_recording(
-    band: BandRecording, angle: TrueAngle, frames: OrderFrames, settings: Settings
+    band: BandRecording, shaft: ShaftAngle, frames: OrderFrames, settings: Settings
 ) -> RecordingTracks:
-    """Orders followed through ``band`` by ``angle``: those asked for and, in sweeps, those of ``frames``.
+    """Orders followed through ``band`` by ``shaft``: those asked for and, in sweeps, those of ``frames``.
 
     ``settings``: of orders, and of identify for what stands out.
     """
@@ -224,14 +201,14 @@ def tracks_of_recording(
 
     swept = settings.orders.track_method == "auto" and bool(frames.attrs.get("swept", 0))
     found = swept_orders(frames, settings=settings) if swept else []
-    tracks = functools.partial(followed_tracks, band, angle, settings=settings.orders)
+    tracks = functools.partial(followed_tracks, band, shaft, settings=settings.orders)
     return RecordingTracks(tracks(swept=swept, standing_out=found, mains_hz=settings.identify.mains_hz))
 
 
 @stage
-def cycles_of_recording(band: BandRecording, angle: TrueAngle, settings: Settings) -> RecordingCycles:
-    """Mean engine cycle of ``band`` by ``angle``, with its spread (``settings`` of orders)."""
-    return RecordingCycles(cycle_average(band, angle, settings=settings.orders))
+def cycles_of_recording(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> RecordingCycles:
+    """Mean engine cycle of ``band`` by ``shaft``, with its spread (``settings`` of orders)."""
+    return RecordingCycles(cycle_average(band, shaft, settings=settings.orders))
 
 
 @stage

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from crankorder.orders import true_angle
 from crankorder.orders.swing_evidence import (
     HARMONICS,
     Expected,
     Rows,
+    Swing,
     alike_at_all_speeds,
     in_true_angle,
     rows_of,
@@ -18,6 +20,7 @@ from crankorder.orders.true_angle import AngleErrors, errors_along, errors_of_ro
 from crankorder.settings import load_settings
 
 PER_ORDER = 8
+SHARES = {"amplitude": 1.0, "standard_error": 1e-4}
 EXPECTED = Expected(load_settings().orders)
 STILL = dict.fromkeys(HARMONICS, (0j, 1e-7))
 """What pulses show of an encoder without error on a shaft that turns evenly."""
@@ -37,12 +40,27 @@ def shown(lines, swings):
 def test_lines_are_brought_back_to_where_they_belong():
     lines = {0.5: 1.0 + 0.2j, 1.0: 2.0j, 7.0: 3.0 + 0j, 12.5: 1.0 - 1.0j}
     swings = {1: 0.4 / 360.0 * np.exp(0.7j), 2: 0.2 / 360.0 * np.exp(-2.0j)}
-    made = in_true_angle(shown(lines, swings), bins_per_order=PER_ORDER, swings=swings)
-    wanted = np.zeros(24 * PER_ORDER, dtype=complex)
-    for order, size in lines.items():
-        wanted[round(order * PER_ORDER)] = size
-    np.testing.assert_allclose(made, wanted, atol=2e-4)
-    assert np.abs(shown(lines, swings) - wanted).max() > 0.02
+    wanted = np.array([lines.get(place / PER_ORDER, 0.0) for place in range(24 * PER_ORDER)])
+    seen = shown(lines, swings)
+    np.testing.assert_allclose(in_true_angle(seen, bins_per_order=PER_ORDER, swings=swings), wanted, atol=2e-4)
+    assert np.abs(seen - wanted).max() > 0.02
+
+
+def test_orders_followed_are_brought_back_without_the_sidebands_that_nobody_follows():
+    lines, size = {2.0: 1.0j, 3.0: 0.3 + 0j, 15.5: 3.0 + 0j, 23.5: 1.0 - 1.0j}, 0.4 / 360.0 * np.exp(0.7j)
+    followed, angle = np.array([2.0, 3.0, 15.5 - 1e-6, 16.5, 23.5]), np.array([0.0, 300.25])
+    signal = shown(lines, {1: size})[np.rint(followed * PER_ORDER).astype(int)]
+    signal = signal[:, None] * np.exp(2j * np.pi * (np.rint(2.0 * followed) / 2.0 - followed)[:, None] * angle)
+    values = {name: (("channel", "order", "frame"), signal[None] * share) for name, share in SHARES.items()}
+    coords = {"order": followed, "crank_angle": ("frame", angle)}
+    tracks = xr.Dataset(values, coords, {"recording": "a", "standing_out": [3.0, 15.5, 16.5]})
+    own = {"a": (Swing(1, size, 1e-9, 1e-9, True, 0.0, (2.0, 23.5), 0.01),)}
+    (made,) = true_angle.tracks_in_true_angle([tracks], true_angle.Swings(own, False))
+    true = [lines.get(round(order, 3), 0.0) for order in followed]
+    np.testing.assert_allclose(np.abs(made["amplitude"].values[0]).T, [np.abs(true)] * 2, atol=2e-4)
+    back = made["crank_angle"].values
+    np.testing.assert_allclose(back + (size * np.exp(2j * np.pi * back)).real, angle, atol=1e-7)
+    assert made.attrs["standing_out"] == [3.0, 15.5]
 
 
 def rows(spectra, noise, rng):
@@ -56,8 +74,7 @@ def rows(spectra, noise, rng):
 def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
     rng = np.random.default_rng(4)
     spectrum = rng.standard_normal((2, 6, 320)) + 1j * rng.standard_normal((2, 6, 320))
-    spectrum[:, 3:, 200:] = np.nan
-    spectrum[1, :, 240:] = np.nan
+    spectrum[:, 3:, 200:] = spectrum[1, :, 240:] = np.nan
     variables = {"spectrum": (("channel", "frame", "order"), spectrum)}
     found = rows_of([xr.Dataset(variables, attrs={"revs_per_frame": 16, "swept": swept})])
     assert found is not None and found.value.shape[1] == 40
@@ -107,8 +124,8 @@ def test_teeth_that_sit_wrongly_are_told_at_all_low_harmonics():
     level = 0.15 / 360.0
     true = {k: level * complex(*rng.standard_normal(2)) * 0.5**0.5 for k in range(1, 7)}
     spectra = [shown(phases(rng, [1.0, 2.5, 6.0, 8.5]), true) for _ in range(4)]
-    shown_by_pulses = {k: (size, 1e-6) for k, size in true.items()}
-    found = swings_of(rows(spectra, 5e-4, rng), Expected(EXPECTED.settings, level), shown_by_pulses)
+    by_pulses = {k: (size, 1e-6) for k, size in true.items()}
+    found = swings_of(rows(spectra, 5e-4, rng), Expected(EXPECTED.settings, level), by_pulses)
     assert sum(abs(one.size - true[one.harmonic]) < max(one.left_rev, 0.1 * level) for one in found if one.proved) >= 5
 
 
@@ -119,6 +136,8 @@ def test_a_good_encoder_is_cleared():
             same = phases(rng, orders)  # alike at all speeds, as beside no mode
             found = swings_of(rows([shown(same, {}) for _ in range(4)], 1e-3, rng), EXPECTED, STILL)
             assert not any(swing.proved and abs(swing.size) > 1e-2 / 360.0 for swing in found)
+    at_one_speed = [shown(phases(rng, [2.0, 5.5, 9.0, 16.0]), {1: 0.2 / 360.0})] * 4
+    assert not any(swing.proved for swing in swings_of(rows(at_one_speed, 5e-4, rng), EXPECTED, {}))
 
 
 @pytest.mark.slow
@@ -153,22 +172,15 @@ def test_pulses_part_an_error_of_the_encoder_from_a_swing_that_falls_with_speed(
 
 def test_lines_that_lack_their_sidebands_in_other_recordings_clear_the_encoder():
     rng = np.random.default_rng(5)
-    size = 0.2 / 360.0 * np.exp(1j)
-    of = {}
+    size, of = 0.2 / 360.0 * np.exp(1j), {}
     for name, spared in (("a", {}), ("b", {5.5: 1.0, 9.0: 1.0j, 12.0: 0.5})):
-        lines = [shown(phases(rng, [2.0, 7.0, 16.0]), {1: size}) for _ in range(4)]
-        lines = [one + (shown(spared, {1: 0j}) if spared else 0.0) for one in lines]
-        of[name] = swings_of(rows(lines, 5e-4, rng), EXPECTED, {1: (size, 1e-6)})
+        still = shown(spared, {1: 0j}) if spared else 0.0
+        spectra = [shown(phases(rng, [2.0, 7.0, 16.0]), {1: size}) + still for _ in range(4)]
+        of[name] = swings_of(rows(spectra, 5e-4, rng), EXPECTED, {1: (size, 1e-6)})
     assert of["a"][0].proved
     assert unless_lines_lack({"a": of["a"]})["a"][0].proved
     assert of["b"][0].lacking[0] > 0.3 * of["b"][0].lacking[1]
     assert not any(own[0].proved for own in unless_lines_lack(of).values())
-
-
-def test_a_sideband_seen_at_one_speed_alone_blames_no_encoder():
-    rng = np.random.default_rng(7)
-    spectra = [shown(phases(rng, [2.0, 5.5, 9.0, 16.0]), {1: 0.2 / 360.0})] * 4
-    assert not any(swing.proved for swing in swings_of(rows(spectra, 5e-4, rng), EXPECTED, {}))
 
 
 # What the error of the crank angle adds to the intervals of a line.
@@ -176,27 +188,16 @@ def test_a_sideband_seen_at_one_speed_alone_blames_no_encoder():
 
 def _shaft(error_rev, revs=20):
     """One pulse per revolution at 600 rpm, each knot with the same error, nothing smoothed."""
-    knots = np.arange(revs + 2.0)
-    return xr.Dataset(
-        {
-            "time": ("knot", 0.1 * knots),
-            "crank_angle": ("knot", knots),
-            "speed": ("knot", np.full(knots.size, 600.0)),
-            "standard_error": ("knot", np.full(knots.size, error_rev)),
-        },
-        attrs={"n_pulses": revs, "teeth_per_rev": 1.0, "cut_off_order": np.inf, "revs_per_cycle": 2},
-    )
+    knots, one = np.arange(revs + 2.0), np.ones(revs + 2)
+    given = {"time": 0.1 * knots, "crank_angle": knots, "speed": 600.0 * one, "standard_error": error_rev * one}
+    attrs = {"n_pulses": revs, "teeth_per_rev": 1.0, "cut_off_order": np.inf, "revs_per_cycle": 2}
+    return xr.Dataset({name: ("knot", values) for name, values in given.items()}, attrs=attrs)
 
 
 def test_a_phase_errs_by_the_order_times_the_mean_error_of_the_angle():
-    half = AngleErrors(np.zeros(1), np.array([1e-3])).phase_half_deg(np.zeros(2), np.array([1.0, 10.0]))
-    np.testing.assert_allclose(half, 1.96 * 0.36 * np.array([1.0, 10.0]), rtol=1e-4)
-
-
-def test_an_unknown_phase_stays_unknown():
-    half = AngleErrors(np.zeros(2), np.full(2, 1e-3)).phase_half_deg(np.array([180.0, np.nan]), np.array(5.0))
-    assert half[0] == 180.0
-    assert np.isnan(half[1])
+    half = AngleErrors(np.zeros(4), np.full(4, 1e-3))
+    half = half.phase_half_deg(np.array([0.0, 0.0, 180.0, np.nan]), np.array([1.0, 10.0, 5.0, 5.0]))
+    np.testing.assert_allclose(half, [1.96 * 0.36, 1.96 * 3.6, 180.0, np.nan], rtol=1e-4)
 
 
 def test_random_error_takes_of_the_amplitude_what_it_takes_of_a_phasors_mean():
@@ -206,15 +207,12 @@ def test_random_error_takes_of_the_amplitude_what_it_takes_of_a_phasors_mean():
 
 
 def test_the_mean_over_a_row_errs_by_the_root_of_its_revolutions_less():
-    shaft = _shaft(1e-3)
-    errors = errors_along(shaft, np.array([0.5, 1.0]), np.array([1.0, 16.0]))
+    errors = errors_along(_shaft(1e-3), np.array([0.5, 1.0]), np.array([1.0, 16.0]))
     np.testing.assert_allclose(errors.mean, [1e-3, 0.25e-3], rtol=1e-6)
 
 
 def test_recordings_that_share_a_row_err_each_on_its_own():
     attrs = {"revs_per_frame": 4, "overlap": 0.0, **stated_errors(_shaft(1e-3), revs_per_frame=4.0)}
-    frames = [xr.Dataset(attrs=attrs) for _ in range(2)]
-    owner = np.array([0, 1])
-    alone = errors_of_rows(frames, owner, [np.array([0])]).mean[0]
-    both = errors_of_rows(frames, owner, [np.array([0, 1])]).mean[0]
+    frames, owner = [xr.Dataset(attrs=attrs)] * 2, np.arange(2)
+    alone, both = (errors_of_rows(frames, owner, [np.arange(n)]).mean[0] for n in (1, 2))
     assert both == pytest.approx(alone / np.sqrt(2.0))

@@ -26,8 +26,11 @@ HARMONICS = (1, 2, 3, 4, 5, 6)
 REACH_95 = 2.45
 """Standard errors of each part within which both together lie with a chance of 95 %."""
 
-TURN_POINTS = 64
+TURN = np.arange(64) / 64
 """Points of a turn at which the modulation is sampled."""
+
+STEPS = 4
+"""Steps by which the true angle is found from the one shown: each leaves less than a tenth."""
 
 LEAST_SHARE = 1e-7
 """Sidebands smaller than this share of their line are left alone."""
@@ -99,17 +102,28 @@ class Swing:
         return max(self.bound_rev, shown) if shown < self.largest_rev else self.bound_rev
 
 
-def modulation(swings: dict[int, complex], order: Floats) -> tuple[Ints, Complexes]:
-    """Shifts q [orders] and coefficients g_q (shifts, orders) by which lines at ``order`` (orders,) are brought back.
+def true_angle(shown: Floats, swings: dict[int, complex]) -> Floats:
+    """True angle [rev] at the angle ``shown`` [rev] by an encoder of the ``swings``, E_k [rev] by harmonic k."""
+    true = shown
+    for _ in range(STEPS if swings else 0):
+        true = shown - _error(true, swings)
+    return np.asarray(true)
 
-    ``swings``: E_k [rev] by harmonic k.
+
+def _error(angle: Floats, swings: dict[int, complex]) -> Floats:
+    """Angle shown less the true one [rev] at the true ``angle`` [rev]."""
+    size, harmonic = np.array(list(swings.values())), np.array(list(swings))
+    return np.asarray((size * np.exp(2j * np.pi * harmonic * angle[:, None])).real.sum(axis=1))
+
+
+def modulation(error: Floats, order: Floats) -> tuple[Ints, Complexes]:
+    """Shifts q [orders] and coefficients g_q (shifts, orders) of lines at ``order`` (orders,) in another angle.
+
+    ``error`` [rev] of their own angle at points of a turn of that.
     """
-    turn = np.arange(TURN_POINTS) / TURN_POINTS
-    error = np.zeros(TURN_POINTS)
-    for harmonic, size in swings.items():
-        error += (size * np.exp(2j * np.pi * harmonic * turn)).real
-    spectrum = np.fft.fft(np.exp(2j * np.pi * order[:, None] * error), axis=1) / TURN_POINTS
-    shift = np.fft.fftfreq(TURN_POINTS, 1.0 / TURN_POINTS).astype(np.int64)
+    n = len(error)
+    spectrum = np.fft.fft(np.exp(2j * np.pi * order[:, None] * error), axis=1) / n
+    shift = np.fft.fftfreq(n, 1.0 / n).astype(np.int64)
     matters = np.abs(spectrum).max(axis=0) > LEAST_SHARE
     return shift[matters], spectrum.T[matters]
 
@@ -124,10 +138,10 @@ def in_true_angle(spectrum: Complexes, *, bins_per_order: int, swings: dict[int,
     known = np.isfinite(spectrum.real)
     whole = np.where(known, spectrum, 0.0)
     # lines below order 0 are those above it, turned the other way
-    below = min(TURN_POINTS // 2 * bins_per_order, n - 1)
+    below = min(len(TURN) // 2 * bins_per_order, n - 1)
     both = np.concatenate([whole[..., below:0:-1].conj(), whole], axis=-1)
     made = np.zeros(spectrum.shape, dtype=np.complex128)
-    for q, gain in zip(*modulation(swings, np.arange(-below, n) / bins_per_order), strict=True):
+    for q, gain in zip(*modulation(_error(TURN, swings), np.arange(-below, n) / bins_per_order), strict=True):
         first = below - int(q) * bins_per_order
         if first >= 0:
             moved = both[..., first : first + n] * gain[first : first + n]

@@ -14,6 +14,7 @@ import xarray as xr
 from crankorder.orders.intervals import Z95, one_phase_reference
 from crankorder.orders.swing_evidence import (
     HARMONICS,
+    TURN,
     Expected,
     Swing,
     alike_at_all_speeds,
@@ -22,6 +23,7 @@ from crankorder.orders.swing_evidence import (
     modulation,
     rows_of,
     swings_of,
+    true_angle,
     unless_lines_lack,
 )
 from crankorder.quantities import Attribute, Complexes, Floats, Ints, QualityFlag, remark, with_flags
@@ -37,7 +39,7 @@ LINES = "angle_lines_per_rev"
 """Attribute of frames: lines or samples of the encoder per crank revolution; 0 where the angle rests on none."""
 
 TAKEN = "angle_swing_taken_rev"
-"""Attribute of angle, frames and tracks: by harmonic, what was taken out of the swing that the encoder shows."""
+"""Attribute of frames and tracks: by harmonic, what was taken out of the swing that the encoder shows."""
 
 MANY_LINES = 360.0
 """Lines per revolution of an encoder by whose pulses samples were taken: so many or more."""
@@ -48,6 +50,9 @@ UNKNOWN_DEG = 180.0
 
 LEFT = "angle_swing_left_rev"
 """Attribute of frames and tracks: by harmonic, what of the angle's swing may be left."""
+
+ANGLES = ("crank_angle", "waveform_angle")
+"""Variables of tracks that hold angles of the shaft."""
 
 GIVEN = "given_by_swing"
 """Variable of tracks: the largest amplitude that the rest of the swing gives to each."""
@@ -64,10 +69,8 @@ HALF_ORDERS = 12
 SPEED_STEP = 0.1
 """Of the logarithm of the speed, within which cycles are of about one speed."""
 
-WHOLE = 1e-6
-
-STEPS = 4
-"""Steps by which the true angle is found from the one shown: each leaves less than a tenth."""
+ALIKE = 1e-3
+"""Orders so close are one to a filter that follows them."""
 
 NAMES = {1: "eccentricity", 2: "ovality"}
 """What makes a swing so often per turn; the others are of uneven lines."""
@@ -102,7 +105,6 @@ class AngleErrors:
 def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Attribute]:
     """The attributes that frames of ``revs_per_frame`` carry of the error of their ShaftAngle ``shaft``."""
     error, of_one = _errors(shaft, revs_per_frame)
-    taken = {TAKEN: shaft.attrs[TAKEN]} if TAKEN in shaft.attrs else {}
     # teeth of an encoder on another shaft swing at orders that no harmonic of the crank has
     own = TOOTH_PRINT in shaft.attrs and float(shaft.attrs[TOOTH_ORDER]) == 1.0
     teeth = {name: shaft.attrs[name] for name in (TOOTH_LEVEL, TOOTH_KEPT, TOOTH_PRINT)} if own else {}
@@ -111,7 +113,7 @@ def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Attr
     pulses = int(shaft.attrs.get("n_pulses", 0))
     lines = float(shaft.attrs.get("teeth_per_rev", 0.0)) if pulses > 0 else 0.0
     lines = MANY_LINES if shaft.attrs.get("domain") == "crank_angle" else lines
-    return {ERROR: error, OF_ONE_REV: of_one, LINES: lines, **shown, **taken, **teeth}
+    return {ERROR: error, OF_ONE_REV: of_one, LINES: lines, **shown, **teeth}
 
 
 def _swing_by_speed(shaft: xr.Dataset) -> list[float]:
@@ -222,37 +224,6 @@ def swings_of_test(frames: Sequence[xr.Dataset], *, settings: OrderSettings) -> 
     return Swings(unless_lines_lack(of) if of else {}, shared)
 
 
-def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
-    """ShaftAngle ``shown`` by an encoder, without the swings that the OrderFrames ``frames`` made by it prove.
-
-    Where the speed sweeps, sidebands of orders that nobody follows reach into those that are followed: the angle itself
-    has to be true. Unchanged where nothing is proved. ``settings``: of orders.
-    """
-    own = swings_of_test([frames], settings=settings).of.get(str(frames.attrs["recording"]), ())
-    taken = _taken(own)
-    if not taken:
-        return shown
-    angle = shown["crank_angle"].values.astype(np.float64)
-    true = angle.copy()
-    for _ in range(STEPS):
-        true = angle - _error(taken, true)
-    speed = shown["speed"].values / (1.0 + _error(taken, true, slope=True))
-    left = np.sqrt(0.5 * sum(swing.error_rev**2 for swing in own if swing.proved))
-    put_right = {"crank_angle": true, "speed": speed, "standard_error": np.hypot(shown["standard_error"].values, left)}
-    angle_true = shown.assign({name: shown[name].copy(data=values) for name, values in put_right.items()})
-    flags = [_flag(str(frames.attrs["recording"]), swing, "the angle") for swing in own if swing.proved]
-    return with_flags(angle_true.assign_attrs({TAKEN: _stated(own)[TAKEN]}), flags)
-
-
-def _error(taken: dict[int, complex], angle: Floats, *, slope: bool = False) -> Floats:
-    """Error [rev] of the angle shown at the true ``angle`` [rev] by the swings ``taken``, or its ``slope``."""
-    total = np.zeros(angle.shape)
-    for harmonic, size in taken.items():
-        turn = 2j * np.pi * harmonic
-        total += (size * (turn if slope else 1.0) * np.exp(turn * angle)).real
-    return total
-
-
 def frames_in_true_angle(frames: Sequence[xr.Dataset], swings: Swings) -> list[xr.Dataset]:
     """``frames`` (OrderFrames) without the sidebands of the swings that are proved; the first carries the flags."""
     made = []
@@ -264,7 +235,7 @@ def frames_in_true_angle(frames: Sequence[xr.Dataset], swings: Swings) -> list[x
             per_order = int(item.attrs["revs_per_frame"])
             values = in_true_angle(spectrum.values, bins_per_order=per_order, swings=taken)
             item = item.assign(spectrum=(spectrum.dims, values.astype(spectrum.dtype), spectrum.attrs))
-        made.append(item.assign_attrs(_stated(own, item)) if own else item)
+        made.append(item.assign_attrs(_stated(own)) if own else item)
     flags = swing_flags(swings)
     if flags and made:
         made[0] = with_flags(made[0].copy(), flags)
@@ -272,20 +243,31 @@ def frames_in_true_angle(frames: Sequence[xr.Dataset], swings: Swings) -> list[x
 
 
 def tracks_in_true_angle(followed: Sequence[xr.Dataset], swings: Swings) -> list[xr.Dataset]:
-    """``followed`` (RecordingTracks) without what the orders followed give to one another by the swings proved."""
+    """``followed`` (RecordingTracks) in the true angle, without what orders give to one another by the swings proved.
+
+    An order that stood out as no more than a sideband of others stands out no more.
+    """
     made = []
     for item in followed:
         own = swings.of.get(str(item.attrs.get("recording", "")), ())
         if not own or "amplitude" not in item:
             made.append(item)
             continue
-        amplitude = item["amplitude"]
+        amplitude, taken = item["amplitude"], _taken(own)
         order = item["order"].values.astype(np.float64)
-        values = _brought_back(amplitude.values, order, _taken(own))
+        values = _brought_back(item, taken)
         given = _given(np.abs(values), order, {one.harmonic: one.left_rev for one in own})
         words = {"units": "see unit", "long_name": "largest amplitude that the rest of the angle's swing gives"}
         true = {"amplitude": (amplitude.dims, values, amplitude.attrs), GIVEN: (amplitude.dims, given, words)}
-        made.append(item.assign(true).assign_attrs(_stated(own, item)))
+        angles = {name: item[name].copy(data=true_angle(item[name].values, taken)) for name in ANGLES if name in item}
+        item = item.assign(true | {name: angle.variable for name, angle in angles.items()}).assign_attrs(_stated(own))
+        if taken:
+            by_chance = np.sqrt(2.0 * np.log(values.size / (0.05 * len(order))))  # errors of the largest of all rows
+            over = np.abs(values) > given + by_chance * item["standard_error"].values
+            lines = order[over.any(axis=(0, 2))]
+            out = np.atleast_1d(item.attrs.get("standing_out", ())).astype(np.float64)
+            item.attrs["standing_out"] = [float(one) for one in out if np.abs(lines - one).min(initial=np.inf) < ALIKE]
+        made.append(item)
     return made
 
 
@@ -309,7 +291,7 @@ def swing_flags(swings: Swings) -> list[QualityFlag]:
     return [_flag("all" if swings.shared else name, swing) for name, own in of for swing in own if swing.proved]
 
 
-def _flag(recording: str, swing: Swing, taken_from: str = "orders and tracks") -> QualityFlag:
+def _flag(recording: str, swing: Swing) -> QualityFlag:
     size, half = 360.0 * abs(swing.size), 360.0 * 1.959964 * swing.error_rev
     name = NAMES.get(swing.harmonic, f"uneven lines ({swing.harmonic} per turn)")
     carriers = ", ".join(f"{order:g}" for order in swing.carriers[:6])
@@ -319,7 +301,7 @@ def _flag(recording: str, swing: Swing, taken_from: str = "orders and tracks") -
         f"{name} of the encoder {size:.3g}° (95 % interval {max(0.0, size - half):.3g} to "
         f"{size + half:.3g}°) at {phase:.0f}°: orders {carriers} have sidebands {swing.harmonic} beside them that are "
         f"their order times one and the same error of the angle (chance {swing.chance:.1g}); pulses show it alike at "
-        f"all speeds. They are no machine part and are taken out of {taken_from}; what may be left is in the intervals"
+        f"all speeds. They are no machine part and are taken out of orders and tracks; intervals hold what may be left"
     )
     return remark(recording, f"encoder_{NAMES.get(swing.harmonic, 'uneven_lines')}", detail)
 
@@ -328,32 +310,37 @@ def _taken(own: Sequence[Swing]) -> dict[int, complex]:
     return {swing.harmonic: swing.size for swing in own if swing.proved}
 
 
-def _stated(own: Sequence[Swing], item: xr.Dataset | None = None) -> dict[str, list[float]]:
-    """Attributes that state the swings ``own``, beside what was taken from the angle of ``item`` before."""
-    before = np.zeros(len(own)) if item is None else np.atleast_1d(item.attrs.get(TAKEN, np.zeros(len(own))))
-    now = np.array([abs(swing.size) if swing.proved else 0.0 for swing in own])
-    return {LEFT: [swing.left_rev for swing in own], TAKEN: np.maximum(before, now).tolist()}
+def _stated(own: Sequence[Swing]) -> dict[str, list[float]]:
+    """Attributes that state what was taken of the swings ``own``, and what may be left."""
+    taken = [abs(swing.size) if swing.proved else 0.0 for swing in own]
+    return {LEFT: [swing.left_rev for swing in own], TAKEN: taken}
 
 
-def _brought_back(values: Complexes, order: Floats, taken: dict[int, complex]) -> Complexes:
-    """``values`` (channel, order, frame) at each ``order`` in the true angle, as far as all are followed."""
+def _brought_back(item: xr.Dataset, taken: dict[int, complex]) -> Complexes:
+    """Amplitudes (channel, order, frame) of ``item`` in the true angle, as if what is not followed were no line.
+
+    What lines of the true angle show is solved for them: sidebands that nobody follows are missed by no line.
+    """
+    values, order = item["amplitude"].values, item["order"].values.astype(np.float64)
     if not taken:
-        return values
+        return np.asarray(values)
     both = np.concatenate([order, -order])
-    shifts, gains = modulation(taken, both)
+    on = ALIKE * np.round(both / ALIKE)
+    shown = np.zeros((len(both), len(both)), dtype=np.complex128)
+    for q, gain in zip(*modulation(true_angle(TURN, taken) - TURN, both), strict=True):
+        shown += np.where(np.abs(on[:, None] - on - q) < 0.5 * ALIKE, gain, 0.0)
+    turned = np.exp(2j * np.pi * ((both - on)[:, None] * item["crank_angle"].values % 1.0))
     known = np.nan_to_num(values)
-    sources = np.concatenate([known, known.conj()], axis=1)
-    turn = np.zeros((len(order), len(both)), dtype=np.complex128)
-    for q, gain in zip(shifts.tolist(), gains, strict=True):
-        turn += np.where(np.abs(order[:, None] - both - q) < WHOLE, gain, 0.0)
-    return np.where(np.isfinite(values.real), np.einsum("os,csf->cof", turn, sources), np.nan)
+    true = turned.conj() * np.linalg.solve(shown, turned * np.concatenate([known, known.conj()], axis=1))
+    return np.where(np.isfinite(values.real), true[:, : len(order)], np.nan)
 
 
 def _given(amplitude: Floats, order: Floats, left: dict[int, float]) -> Floats:
     """Largest amplitude (channel, order, frame) that swings of up to ``left`` give to each, by its neighbours."""
     square = np.zeros(amplitude.shape)
     for harmonic, size in left.items():
-        beside = np.abs(np.abs(np.subtract.outer(order, np.concatenate([order, -order]))) - harmonic) < WHOLE
+        apart = np.abs(np.subtract.outer(order, np.concatenate([order, -order])))
+        beside = np.abs(apart - harmonic) < ALIKE
         share = np.pi * size * order * (beside[:, : len(order)] | beside[:, len(order) :])
         square += np.square(np.einsum("os,csf->cof", share, np.nan_to_num(amplitude)))
     return np.asarray(np.sqrt(square))
