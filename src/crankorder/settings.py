@@ -128,7 +128,6 @@ class OrderSettings(StageSettings):
     track_orders: tuple[Positive, ...] = Field(strict=False)
     band_width_orders: Positive
     tolerance: Annotated[float, Field(ge=LEAST_TOLERANCE, le=LARGEST_TOLERANCE)]
-    method: Literal["auto", "resample", "nufft"]
     track_method: Annotated[Literal["auto", "frames"], BeforeValidator(_one_estimate)]
     floor_bins: Count
     guard_bins: Annotated[int, Field(ge=0)]

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.errors import RequestError
-from crankorder.fft.resampling import LENGTHS, cheapest_kernel, kernel_named, margin, shifted, values_at
+from crankorder.fft.resampling import LENGTHS, cheapest_kernel, kernel_of, margin, shifted, values_at
 
-SHORT_KERNELS = ("sinc-8", "sinc-10", "sinc-16", "sinc-48", "kaiser-48")
+SHORT_KERNELS = (8, 10, 16, 48)
 N_SAMPLES = 700
 
 
@@ -44,23 +44,23 @@ def test_a_shifted_signal_is_the_signal_at_earlier_samples_and_nan_where_it_has_
 
 def test_a_constant_is_passed_to_the_last_bits():
     for dtype in ("f4", "f8"):
-        for name in SHORT_KERNELS:
-            kernel = kernel_named(name, pass_band=0.3, double=dtype == "f8")
+        for taps in SHORT_KERNELS:
+            kernel = kernel_of(taps, pass_band=0.3, double=dtype == "f8")
             values = values_at(np.full((2, 200), 3.0, dtype), places(200, kernel.margin), kernel=kernel)
-            assert np.abs(values / 3.0 - 1.0).max() < 4.0 * np.finfo(dtype).eps, name
+            assert np.abs(values / 3.0 - 1.0).max() < 4.0 * np.finfo(dtype).eps, taps
 
 
 def test_on_the_samples_the_samples_come_back():
     inside = np.arange(60, N_SAMPLES - 60)
-    for name in SHORT_KERNELS:
-        values = values_at(noise(2), inside.astype(float), kernel=kernel_named(name, pass_band=0.3))
-        np.testing.assert_array_equal(values, noise(2)[:, inside], err_msg=name)
+    for taps in SHORT_KERNELS:
+        values = values_at(noise(2), inside.astype(float), kernel=kernel_of(taps, pass_band=0.3))
+        np.testing.assert_array_equal(values, noise(2)[:, inside], err_msg=str(taps))
 
 
 @pytest.mark.cases(2)
-@pytest.mark.parametrize("name", SHORT_KERNELS)
-def test_values_are_linear_in_the_signals_and_move_and_turn_with_them(name):
-    kernel = kernel_named(name, pass_band=0.2)
+@pytest.mark.parametrize("taps", SHORT_KERNELS)
+def test_values_are_linear_in_the_signals_and_move_and_turn_with_them(taps):
+    kernel = kernel_of(taps, pass_band=0.2)
     a, b, at = noise(1, seed=1), noise(1, seed=2), places(N_SAMPLES, kernel.margin)
     both = values_at(3.0 * a - 0.25 * b, at, kernel=kernel)
     apart = 3.0 * values_at(a, at, kernel=kernel) - 0.25 * values_at(b, at, kernel=kernel)
@@ -77,7 +77,7 @@ def test_values_are_linear_in_the_signals_and_move_and_turn_with_them(name):
 
 def test_a_channel_has_the_same_values_alone_and_among_others():
     for dtype in ("f4", "f8"):
-        kernel = kernel_named("sinc-24", pass_band=0.3, double=dtype == "f8")
+        kernel = kernel_of(24, pass_band=0.3, double=dtype == "f8")
         at = places(N_SAMPLES, kernel.margin)
         for channels in (1, 2, 3, 4, 5):
             signals = noise(channels).astype(dtype)
@@ -95,15 +95,15 @@ def test_the_order_of_the_positions_does_not_matter(order):
 
 
 def test_a_block_and_the_whole_record_agree_bit_for_bit():
-    signals, kernel = noise(2), kernel_named("sinc-16", pass_band=0.25)
+    signals, kernel = noise(2), kernel_of(16, pass_band=0.25)
     at = np.floor(np.linspace(200.0, 300.0, 500) * 4096) / 4096
     block = values_at(signals[:, 150:350], at - 150.0, kernel=kernel)
     np.testing.assert_array_equal(block, values_at(signals, at, kernel=kernel))
 
 
 def test_far_amplitudes_survive_and_a_constant_a_million_times_the_signal_costs_only_its_own_rounding():
-    for name in ("kaiser-8", *SHORT_KERNELS):
-        kernel = kernel_named(name, pass_band=0.1)
+    for taps in SHORT_KERNELS:
+        kernel = kernel_of(taps, pass_band=0.1)
         at = places(N_SAMPLES, kernel.margin)
         signals = tones(0.1, np.arange(float(N_SAMPLES)))
         for scale in (1e-300, 1.0, 1e300):
@@ -114,8 +114,8 @@ def test_far_amplitudes_survive_and_a_constant_a_million_times_the_signal_costs_
 
 
 def test_the_margin_is_enough_and_what_lies_further_out_is_refused():
-    for name in SHORT_KERNELS:
-        kernel = kernel_named(name, pass_band=0.2)
+    for taps in SHORT_KERNELS:
+        kernel = kernel_of(taps, pass_band=0.2)
         last = N_SAMPLES - 1
         ends = np.array([kernel.margin, last - kernel.margin], dtype=float)
         expected = tones(0.1, ends)
@@ -156,9 +156,9 @@ def test_any_memory_layout_gives_the_same_values():
 
 
 @pytest.mark.cases(2)
-@pytest.mark.parametrize("name", [f"{family}-{taps}" for family in ("kaiser", "sinc") for taps in LENGTHS])
-def test_the_gain_beyond_the_pass_band_never_makes_noise_stronger(name):
-    kernel = kernel_named(name, pass_band=0.1)
+@pytest.mark.parametrize("taps", LENGTHS)
+def test_the_gain_beyond_the_pass_band_never_makes_noise_stronger(taps):
+    kernel = kernel_of(taps, pass_band=0.1)
     size = 4000
     at = places(size, kernel.margin, 4000)
     white = np.random.default_rng(8).standard_normal((1, size))
@@ -169,7 +169,7 @@ def test_the_gain_beyond_the_pass_band_never_makes_noise_stronger(name):
 
 
 CONTENTS = (0.02, 0.05, 0.2, 0.4)
-SOME_KERNELS = ("sinc-6", "sinc-8", "sinc-16", "sinc-32", "sinc-48")
+SOME_KERNELS = (8, 16, 32, 48)
 POSITION_ROUNDING = 1e-12
 """A position near 500 is rounded to 6e-14, which turns a tone at 0.4 of the rate by 1.5e-13."""
 
@@ -190,9 +190,9 @@ def measured_error(kernel, content):
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize("content", [*CONTENTS, 0.49])
-@pytest.mark.parametrize("name", SOME_KERNELS)
-def test_the_error_of_every_kernel_is_predicted(name, content, double):
-    kernel = kernel_named(name, pass_band=content, double=double)
+@pytest.mark.parametrize("taps", SOME_KERNELS)
+def test_the_error_of_every_kernel_is_predicted(taps, content, double):
+    kernel = kernel_of(taps, pass_band=content, double=double)
     measured = measured_error(kernel, content)
     assert measured <= kernel.predicted_error + (POSITION_ROUNDING if double else 0.0)
     assert kernel.predicted_error <= 5.0 * measured
@@ -221,7 +221,7 @@ def test_what_is_asked_for_is_met(tolerance, content, double):
 def test_no_shorter_kernel_meets_the_tolerance(tolerance, content):
     chosen = cheapest_kernel(tolerance, content=content)
     for taps in LENGTHS[: LENGTHS.index(chosen.taps)]:
-        assert kernel_named(f"kaiser-{taps}", pass_band=content).predicted_error > tolerance
+        assert kernel_of(taps, pass_band=content).predicted_error > tolerance
 
 
 def test_what_no_kernel_reaches_is_refused_with_what_is_reached():
@@ -237,13 +237,7 @@ def test_content_that_no_sampling_carries_and_a_tolerance_that_is_no_error_are_r
         with pytest.raises(RequestError, match="share of the sample rate"):
             cheapest_kernel(1e-3, content=content)
         with pytest.raises(RequestError, match="share of the sample rate"):
-            kernel_named("sinc-8", pass_band=content)
+            kernel_of(8, pass_band=content)
     for tolerance in (0.0, -1e-6, np.nan):
         with pytest.raises(RequestError, match="above 0"):
             cheapest_kernel(tolerance, content=0.1)
-
-
-def test_an_unknown_kernel_is_refused_by_name():
-    for name in ("sinc-7", "sinc-2", "sinc-514", "sinc-", "sinc", "lagrange-6", "spline-3", "", "sinc-٨"):
-        with pytest.raises(RequestError, match="no such interpolation kernel"):
-            kernel_named(name, pass_band=0.1)

@@ -13,7 +13,7 @@ import pytest
 FORBIDDEN_NAMES = {"utils", "util", "core", "common", "helpers", "helper", "misc"}
 SHOWS_FIGURES = Path("src/crankorder/plot/axes.py")
 """The one file that may ask pyplot for a figure: a notebook shows no other. It does so where no axes are given."""
-HEAVY = ["numpy", "scipy", "xarray", "matplotlib", "numba", "pandas", "h5py", "h5netcdf", "pyfftw", "finufft", "jinja2"]
+HEAVY = ["numpy", "scipy", "xarray", "matplotlib", "numba", "pandas", "h5py", "h5netcdf", "pyfftw", "jinja2"]
 
 # Runs the command in a fresh interpreter and says on the last line of stderr which heavy packages it loaded.
 PROBE = """

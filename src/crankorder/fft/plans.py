@@ -1,6 +1,6 @@
 """Plans of discrete Fourier transforms that own their buffers: by FFTW, else by scipy.
 
-``CRANKORDER_FFT=scipy`` does without FFTW (pyfftw and finufft), whose licence is the GPL: see NOTICE.
+``CRANKORDER_FFT=scipy`` does without FFTW (pyfftw), whose licence is the GPL: see NOTICE.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ VARIABLE = "CRANKORDER_FFT"
 """Of the environment: "fftw" or "scipy"; without it FFTW is taken where it is installed."""
 
 Library = Literal["fftw", "scipy"]
-
-_spec_of = cache(find_spec)
 
 
 class Plan(Protocol):
@@ -51,11 +49,6 @@ def _library(asked: str) -> Library:
             "pyfftw is not installed", file=VARIABLE, found=asked, remedy="pip install pyfftw, or unset it"
         )
     return "fftw" if there and asked != "scipy" else "scipy"
-
-
-def can_transform_uneven() -> bool:
-    """Whether samples at uneven places can be transformed: finufft does so, which carries FFTW too."""
-    return fft_library() == "fftw" and _spec_of("finufft") is not None
 
 
 def forward(shape: tuple[int, ...], kind: Any) -> Plan:

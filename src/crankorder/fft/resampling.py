@@ -1,7 +1,6 @@
 """Values of sampled signals between their samples, by the shortest kernel that errs no more than is allowed.
 
-A kernel is "kaiser-N", a windowed sinc of N samples, or "sinc-N", fitted to its band by least squares: the same error
-within the band, but with images of what lies above it. Its weights are tables of cubics in the fraction of a sample.
+A kernel is a sinc of N samples under a Kaiser window; its weights are tables of cubics in the fraction of a sample.
 """
 
 from __future__ import annotations
@@ -20,8 +19,6 @@ from crankorder.errors import RequestError
 from crankorder.quantities import Floats, Ints
 from crankorder.scratch import blocks, empty_like
 
-FAMILIES = ("kaiser", "sinc")
-
 MOST_TAPS = 512
 """Longest kernel that is offered: content up to 0.98 of the Nyquist frequency within 1e-7."""
 
@@ -34,12 +31,6 @@ _NODES = 0.5 + 0.5 * np.array([-1.0, 1.0 - np.sqrt(2.0), np.sqrt(2.0) - 1.0, 1.0
 CUBIC_ERROR = (3.0 - 2.0 * np.sqrt(2.0)) / 384.0
 """Largest error of such a cubic over fourth derivative times piece width to the fourth."""
 
-LAWSON_ROUNDS = 3
-"""Rounds of reweighting. The first takes a fifth off the worst error, the fourth would take a hundredth."""
-
-COARSE = np.linspace(0.0, 0.5, 9)[1:]
-"""Fractions of a step that stand for all where only the size of the error is wanted."""
-
 ROUNDING = {True: 4e-16, False: 2.4e-7}
 """Largest error by rounding over the largest sample, of a kernel of few taps (double or not). Measured."""
 
@@ -50,88 +41,6 @@ BETWEEN = 1.02
 """What the worst error may be larger than that at the places and frequencies where it is looked for."""
 
 
-def family_and_taps(name: str) -> tuple[str, int]:
-    """Family and number of samples of the kernel called ``name``; ("", 0) where there is none such.
-
-    Numbers are even, from 4 to :data:`MOST_TAPS`.
-    """
-    family, _, text = name.partition("-")
-    taps = int(text) if text.isascii() and text.isdecimal() and len(text) < 5 else 0
-    known = family in FAMILIES and taps % 2 == 0 and 4 <= taps <= MOST_TAPS
-    return (family, taps) if known else ("", 0)
-
-
-class _LeastSquares:
-    """The least-squares inverse of ``matrix``, its rows weighted; directions that rounding has eaten are left out."""
-
-    def __init__(self, matrix: Floats, weight: Floats) -> None:
-        self._weight = weight[:, None]
-        left, values, right = np.linalg.svd(self._weight * matrix, full_matrices=False)
-        kept = values > 1e-15 * values[0]
-        self._left, self._values, self._right = left[:, kept].T, values[kept, None], right[kept].T
-
-    def __call__(self, wanted: Floats) -> Floats:
-        # one factor after the other: their product would lose what the small singular values carry
-        return np.asarray(self._right @ (self._left @ (self._weight * wanted) / self._values))
-
-
-class _BandFit:
-    """Weights of a kernel of even length whose worst error up to a pass band is nearly the least possible.
-
-    At each fraction of a step the response to tones is fitted to the tones themselves by least squares over Chebyshev
-    points of the band, the even and the odd part of the weights apart. Rounds of reweighting (Lawson 1961) bring the
-    least mean error towards the least worst error. The weights sum to 1 at every fraction, and on a sample they are
-    that sample. (The aim: Laakso, Välimäki, Karjalainen, Laine 1996, "Splitting the unit delay".)
-    """
-
-    def __init__(self, taps: int, pass_band: float) -> None:
-        """Fit for an even number of ``taps`` and content up to ``pass_band`` (share of the sample rate, below 0.5)."""
-        half = self._half = taps // 2
-        n_points = taps + 16
-        # from the edge of the band, which counts most, down to near zero, where the sum of 1 holds the response
-        self._turn = 2.0 * np.pi * pass_band * np.cos(np.linspace(0.0, 0.5 * np.pi, n_points, endpoint=False))[:, None]
-        angle = self._turn * (np.arange(half) + 0.5)
-        self._even, self._odd = 2.0 * np.cos(angle), 2.0 * np.sin(angle)
-        # even weights: equal ones, and a combination of vectors that sum to zero
-        self._equal = np.full((half, 1), 0.5 / half)
-        self._free = np.linalg.qr(np.ones((half, 1)), mode="complete")[0][:, 1:]
-        emphasis = np.ones(n_points)
-        self._solve(emphasis)
-        for _ in range(LAWSON_ROUNDS):
-            emphasis *= self._misfit(COARSE).max(axis=1) + 1e-30
-            emphasis /= emphasis.mean()
-            self._solve(emphasis)
-        self.error = float(self._misfit(COARSE).max())
-
-    def _solve(self, emphasis: Floats) -> None:
-        root = np.sqrt(emphasis)
-        self._even_of = _LeastSquares(self._even @ self._free, root)
-        self._odd_of = _LeastSquares(self._odd, root)
-
-    def _parts(self, fraction: Floats) -> tuple[Floats, Floats]:
-        angle = self._turn * (fraction - 0.5)
-        even = self._equal + self._free @ self._even_of(np.cos(angle) - self._even @ self._equal)
-        return even, self._odd_of(np.sin(angle))
-
-    def _misfit(self, fraction: Floats) -> Floats:
-        """Error (band points, fractions) of the response."""
-        even, odd = self._parts(fraction)
-        angle = self._turn * (fraction - 0.5)
-        return np.hypot(self._even @ even - np.cos(angle), self._odd @ odd - np.sin(angle))
-
-    def weights(self, fraction: Floats) -> Floats:
-        """Weights (fractions, taps) at each ``fraction`` (fractions,), 0…1, of a step."""
-        even, odd = self._parts(fraction)
-        weights = np.concatenate([(even - odd)[::-1], even + odd]).T
-        places = np.arange(1 - self._half, 1 + self._half)
-        for sample in (0, 1):
-            weights[fraction == sample] = places == sample
-        return np.asarray(weights)
-
-
-_band_fit = lru_cache(maxsize=64)(_BandFit)
-
-
 def kaiser_error(taps: int, pass_band: float) -> float:
     """Error that Kaiser (1974) expects of a windowed sinc of ``taps`` for content up to ``pass_band`` of the rate."""
     return float(10.0 ** (-0.05 * (4.57 * np.pi * (1.0 - 2.0 * pass_band) * (taps - 1) + 7.95)))
@@ -140,8 +49,8 @@ def kaiser_error(taps: int, pass_band: float) -> float:
 def _windowed_weights(taps: int, pass_band: float, fraction: Floats) -> Floats:
     """Weights (fractions, ``taps``) of a sinc under a Kaiser window, which passes up to ``pass_band`` of the rate.
 
-    It errs a little more there than weights fitted to the band, at each ``fraction`` (0…1) of a step alone, but it is
-    smooth: of what lies above the band it leaves one image, next to the Nyquist frequency, and no others.
+    Weights fitted to the band at each ``fraction`` (0…1) of a step alone would err a little less there, but these are
+    smooth: of what lies above the band they leave one image, next to the Nyquist frequency, and no others.
     """
     decibel = max(-20.0 * np.log10(kaiser_error(taps, pass_band)), 22.0)
     beta = 0.1102 * (decibel - 8.7) if decibel > 50.0 else 0.5842 * (decibel - 21.0) ** 0.4 + 0.07886 * (decibel - 21.0)
@@ -157,19 +66,16 @@ def _sample_offsets(taps: int) -> Ints:
 
 
 @lru_cache(maxsize=32)
-def _pieces_of(family: str, taps: int, pass_band: float) -> Floats:
-    """Cubics (pieces, 4, taps) of the kernel of ``family`` and ``taps`` for content up to ``pass_band`` of the rate.
+def _pieces_of(taps: int, pass_band: float) -> Floats:
+    """Cubics (pieces, 4, taps) of the kernel of so many ``taps`` for content up to ``pass_band`` of the rate.
 
     There are as many pieces as keep the error between their nodes below a quarter of the kernel's own.
     """
-    windowed = family == "kaiser"
-    own = kaiser_error(taps, pass_band) if windowed else _band_fit(taps, pass_band).error
-    allowed = max(4.0 * ROUNDING_FLOOR, own) / 4.0
-    least = 2.0 * np.pi * (0.5 if windowed else pass_band) * (CUBIC_ERROR / allowed) ** 0.25
+    allowed = max(4.0 * ROUNDING_FLOOR, kaiser_error(taps, pass_band)) / 4.0
+    least = np.pi * (CUBIC_ERROR / allowed) ** 0.25
     n_pieces = max(8, 2 * int(np.ceil(0.5 * least)))
     fraction = ((np.arange(n_pieces // 2)[:, None] + _NODES) / n_pieces).ravel()
-    half = _windowed_weights(taps, pass_band, fraction) if windowed else _band_fit(taps, pass_band).weights(fraction)
-    half = half.reshape(n_pieces // 2, 4, -1)
+    half = _windowed_weights(taps, pass_band, fraction).reshape(n_pieces // 2, 4, -1)
     weights = np.concatenate([half, half[::-1, ::-1, ::-1]])
     coefficients = np.einsum("dn,pnt->pdt", np.linalg.inv(np.vander(_NODES, 4)), weights)
     # the cubic begins exactly on its first row: what is exact there stays so
@@ -178,14 +84,14 @@ def _pieces_of(family: str, taps: int, pass_band: float) -> Floats:
 
 
 @lru_cache(maxsize=32)
-def table_of(family: str, taps: int, pass_band: float, double: bool) -> NDArray[np.floating]:
+def table_of(taps: int, pass_band: float, double: bool) -> NDArray[np.floating]:
     """Cubics (pieces, 4, taps), highest power first, of the weights over the fraction of a sample, piece by piece.
 
-    ``family``, ``taps`` and ``pass_band`` (share of the sample rate) name the kernel; ``double`` asks for float64
-    numbers, else float32. They sum exactly to 1 and 0, 0, 0: a constant must not suffer.
+    ``taps`` and ``pass_band`` (share of the sample rate) name the kernel; ``double`` asks for float64 numbers, else
+    float32. They sum exactly to 1 and 0, 0, 0: a constant must not suffer.
     """
     dtype = np.float64 if double else np.float32
-    pieces = _pieces_of(family, taps, pass_band)
+    pieces = _pieces_of(taps, pass_band)
     rounded = pieces.astype(dtype).astype(np.longdouble)
     lost = np.array([0.0, 0.0, 0.0, 1.0])[:, None] - rounded.sum(axis=2, keepdims=True)
     middle = pieces.shape[2] // 2
@@ -202,13 +108,13 @@ def rounding(taps: int, double: bool) -> float:
 
 
 @lru_cache(maxsize=256)
-def error_of(family: str, taps: int, pass_band: float, double: bool) -> float:
-    """Largest relative error of the kernel of ``family`` and ``taps`` for tones up to its ``pass_band``.
+def error_of(taps: int, pass_band: float, double: bool) -> float:
+    """Largest relative error of the kernel of so many ``taps`` for tones up to its ``pass_band``.
 
     It is the worst complex error over frequencies and places, of the table as it is read, and the rounding of sums in
     double precision if ``double``, else in single. ``pass_band`` is a share of the sample rate.
     """
-    pieces = _pieces_of(family, taps, pass_band)
+    pieces = _pieces_of(taps, pass_band)
     n_pieces = len(pieces)
     # half a sample tells all; a long kernel affords fewer pieces; in each, the places where a cubic errs most
     chosen = np.unique(np.linspace(0, (n_pieces - 1) // 2, max(8, 1024 // taps)).astype(int))
@@ -227,7 +133,7 @@ TAPS = 48
 """Length of the kernel that is used where none is asked for."""
 
 PASS_BAND = 0.4
-"""Share of the sample rate up to which that kernel reproduces content: within 6e-8."""
+"""Share of the sample rate up to which that kernel reproduces content: within 2e-7."""
 
 LENGTHS = (8, 16, 24, 32, 40, 48, 56, 64, 80, 96, 128, 160, 192, 256, 384, MOST_TAPS)
 """Lengths that :func:`cheapest_kernel` chooses from; every even one from 4 to 512 exists."""
@@ -240,16 +146,20 @@ FEWEST_SHARE = 0.5
 class Kernel:
     """An interpolation kernel: what a value between samples is made from.
 
-    ``name`` is kaiser-N or sinc-N; ``taps`` the samples that enter a value. Content up to ``pass_band`` (share of the
-    sample rate, above 0, below 0.5) comes out with a largest relative amplitude error of ``predicted_error``, in double
-    precision if ``double``, else in single.
+    ``taps`` are the samples that enter a value. Content up to ``pass_band`` (share of the sample rate, above 0, below
+    0.5) comes out with a largest relative amplitude error of ``predicted_error``, in double precision if ``double``,
+    else in single.
     """
 
-    name: str
     taps: int
     pass_band: float
     predicted_error: float
     double: bool = True
+
+    @property
+    def name(self) -> str:
+        """Its window and length."""
+        return f"kaiser-{self.taps}"
 
     @property
     def margin(self) -> int:
@@ -257,27 +167,17 @@ class Kernel:
         return self.taps // 2 + 1
 
 
-def _checked_share(share: float, what: str) -> float:
-    if not 0.0 < share < 0.5:
-        problem = f"{what} is a share of the sample rate, below its Nyquist frequency"
-        raise RequestError(problem, found=share, allowed="above 0, below 0.5")
-    return float(share)
-
-
 @lru_cache(maxsize=64)
-def kernel_named(name: str, *, pass_band: float, double: bool = True) -> Kernel:
-    """The kernel called ``name``, made for content up to ``pass_band``, with its predicted error.
+def kernel_of(taps: int, *, pass_band: float, double: bool = True) -> Kernel:
+    """The kernel of so many ``taps`` (even, 4 to 512), made for content up to ``pass_band``, with its predicted error.
 
-    ``name`` is kaiser-N or sinc-N with an even N from 4 to 512 samples, ``pass_band`` a share of the sample rate (above
-    0, below 0.5); ``double`` says in which precision the kernel will run. Raises RequestError for an unknown name or
-    share.
+    ``pass_band`` is a share of the sample rate (above 0, below 0.5, else RequestError); ``double`` says in which
+    precision the kernel will run.
     """
-    family, taps = family_and_taps(name)
-    if not family:
-        allowed = f"kaiser-N and sinc-N with an even N from 4 to {MOST_TAPS}"
-        raise RequestError("there is no such interpolation kernel", found=name, allowed=allowed)
-    share = _checked_share(pass_band, "the pass band of a kernel")
-    return Kernel(name, taps, share, error_of(family, taps, share, double), double)
+    if not 0.0 < pass_band < 0.5:
+        problem = "the band of a kernel is a share of the sample rate, below its Nyquist frequency"
+        raise RequestError(problem, found=pass_band, allowed="above 0, below 0.5")
+    return Kernel(taps, float(pass_band), error_of(taps, float(pass_band), double), double)
 
 
 def cheapest_kernel(tolerance: float, *, content: float, double: bool = True) -> Kernel:
@@ -290,10 +190,10 @@ def cheapest_kernel(tolerance: float, *, content: float, double: bool = True) ->
     """
     if not tolerance > 0.0:
         raise RequestError("a tolerance is a relative error", found=tolerance, allowed="above 0")
-    share = _checked_share(content, "content")
+    share = kernel_of(LENGTHS[0], pass_band=content, double=double).pass_band
     taps, least = _shortest(float(tolerance), share, double)
     if taps:
-        return kernel_named(f"kaiser-{taps}", pass_band=share, double=double)
+        return kernel_of(taps, pass_band=share, double=double)
     lower = f"content further below half of the sample rate, now at {share:g} of it"
     remedy = f"Allow {least:.1e}, or {lower}" + ("." if double else ", or give float64 samples.")
     raise RequestError(
@@ -316,16 +216,16 @@ def _shortest(tolerance: float, content: float, double: bool) -> tuple[int, floa
         hoped = 0.5 * kaiser_error(taps, content) + rounding(taps, double)
         if hoped < least:
             best, least = taps, hoped
-        if hoped <= tolerance and (error := error_of("kaiser", taps, content, double)) <= tolerance:
+        if hoped <= tolerance and (error := error_of(taps, content, double)) <= tolerance:
             return taps, error
-    return 0, error_of("kaiser", best, content, double)
+    return 0, error_of(best, content, double)
 
 
 def values_at(signals: Signals, positions: Floats, *, kernel: Kernel | None = None) -> Signals:
     """Values (channels, n) of ``signals`` (channels, samples), float32 or float64, at ``positions``, in their dtype.
 
     ``positions`` (n,) are in samples from the first, any order, as far from both ends as ``kernel``.margin. ``kernel``
-    None is the least-squares kernel of 48 taps for content up to 0.4 of the sample rate. Positions are float64: one
+    None is that of 48 taps for content up to 0.4 of the sample rate. Positions are float64: one
     near p is exact to p · 1e-16, so give long records in blocks where 1e-9 matters.
 
     Raises RequestError where a position is not finite or lacks its neighbours, or where shapes do not fit.
@@ -335,14 +235,14 @@ def values_at(signals: Signals, positions: Floats, *, kernel: Kernel | None = No
     if places.ndim != 1:
         raise RequestError("positions are one row of numbers", found=f"{places.ndim} dimensions", allowed="1")
     double = bool(samples.dtype == np.float64)
-    kernel = kernel or kernel_named(f"sinc-{TAPS}", pass_band=PASS_BAND, double=double)
+    kernel = kernel or kernel_of(TAPS, pass_band=PASS_BAND, double=double)
     out = np.empty((len(samples), len(places)), dtype=samples.dtype)
     if not out.size:
         return out
     low, high = kernel.margin - 2, samples.shape[1] - kernel.margin
     if high < low:
         _refuse(places, 0, low, high)
-    table = table_of(*family_and_taps(kernel.name), kernel.pass_band, double)
+    table = table_of(kernel.taps, kernel.pass_band, double)
     # all channels as one row of memory, and the numbers from one to the next: a cut-out is not copied
     n_channels, n_samples = samples.shape
     row = samples.strides[0] // samples.itemsize if n_channels > 1 else n_samples
@@ -357,7 +257,7 @@ def values_at(signals: Signals, positions: Floats, *, kernel: Kernel | None = No
 def shifted(signal: NDArray[Any], samples: float) -> Signals:
     """``signal`` (n,) delayed by ``samples``, whole or not: value k of it is ``signal`` at k - ``samples``.
 
-    Content up to 0.4 of the sample rate is exact to 6e-8. NaN where the signal, or a neighbour that the kernel needs
+    Content up to 0.4 of the sample rate is exact to 2e-7. NaN where the signal, or a neighbour that the kernel needs
     (24 samples to either side, none for a whole shift), is missing or lies beyond its ends. float32 stays float32.
     """
     row = signal if signal.dtype in (np.float32, np.float64) else signal.astype(np.float64)
@@ -365,7 +265,7 @@ def shifted(signal: NDArray[Any], samples: float) -> Signals:
     fraction = whole - samples
     half = TAPS // 2 if fraction else 0
     out = np.full_like(row, np.nan)
-    weights = _band_fit(TAPS, PASS_BAND).weights(np.array([fraction]))[0].astype(row.dtype) if half else np.ones(1)
+    weights = _windowed_weights(TAPS, PASS_BAND, np.array([fraction]))[0].astype(row.dtype) if half else np.ones(1)
     if row.size < weights.size:
         return out
     made = np.convolve(row, weights[::-1].astype(row.dtype), mode="valid")

@@ -88,12 +88,12 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         )
         density, achieved, limit = 1, 0.0, np.full(len(speed), 0.5 * per_rev)
     else:
-        samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
+        samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance).continued(layout.beyond)
         top = settings.max_order
         for density in (1, DENSER):
             spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=top, density=density)
             achieved = achieved_error(samples, shaft, layout, spectrum, speed_rpm=speed, max_order=top, density=density)
-            if layout.method.kernel is None or not achieved > settings.tolerance:
+            if not achieved > settings.tolerance:
                 break
         limit = layout.method.highest * samples.rate_hz * 60.0 / speed
     if "usable" in band and band["usable"].values.any() and np.isnan(spectrum.real).all():
@@ -130,7 +130,7 @@ def _no_whole_frame(band: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) ->
 
 def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> xr.Dataset:
     """OrderFrames of a recording without a shaft: one frame in which nothing is known."""
-    layout = FrameLayout(OrderMethod("no shaft", 0.0, 0, 0.0), settings.revs_per_frame, 1, np.zeros(1))
+    layout = FrameLayout(OrderMethod("no shaft", 0.0, 0.0), settings.revs_per_frame, 1, np.zeros(1))
     shape = (band.sizes["channel"], 1, math.floor(settings.max_order * layout.revs) + 1)
     frames = _dataset(band, shaft, layout, np.full(shape, np.nan, dtype=np.complex128), np.full(1, np.nan))
     errors = {"largest_sweep": 0.0, "tolerance": settings.tolerance, "predicted_error": 0.0, "achieved_error": 0.0}

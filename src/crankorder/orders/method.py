@@ -1,9 +1,9 @@
-"""How a recording becomes order spectra: its values by crank angle, and the cheapest method within the tolerance."""
+"""How a recording becomes order spectra: its values by crank angle, by the cheapest kernel within the tolerance."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from crankorder.errors import InputError, RequestError
-from crankorder.fft.plans import can_transform_uneven
-from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_named, values_at
+from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_of, values_at
 from crankorder.fft.transforms import counted
 from crankorder.quantities import Bools, Floats
 from crankorder.scratch import BLOCK_SAMPLES
-from crankorder.settings import LEAST_TOLERANCE, OrderSettings
+from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import ROUNDING_REV, SpeedCourse, angle_at, knots_of, time_at
 
 MOST_CONTENT = 0.4
@@ -25,9 +24,6 @@ MOST_CONTENT = 0.4
 
 CONTENT_STEP = 0.02
 """Steps of that share: kernels are designed for a few of them and then known."""
-
-MOST_CARRIED = 0.49
-"""Share of the sample rate up to which a transform straight from the samples is trusted."""
 
 METHOD_SHARE = 0.5
 """Share of the tolerance that is left to the method; the other half is the filter's that comes before it."""
@@ -69,6 +65,15 @@ class TimeSamples:
     def double(self) -> bool:
         """Whether the samples are held in double precision."""
         return self.signals.dtype.itemsize > 4
+
+    def continued(self, count: int) -> TimeSamples:
+        """These samples and ``count`` more at both ends, mirrored at the first and the last: bends join smoothly."""
+        if not count:
+            return self
+        ends = ((0, 0), (count, count))
+        signals = np.pad(self.signals, ends, mode="reflect", reflect_type="odd")
+        usable = None if self.usable is None else np.pad(self.usable, ends, mode="reflect")
+        return replace(self, signals=signals, usable=usable, start_s=self.start_s - count / self.rate_hz)
 
 
 def time_samples(band: xr.Dataset, *, tolerance: float) -> TimeSamples:
@@ -116,7 +121,7 @@ def _single_of(content: float, tolerance: float) -> Kernel | None:
         double = cheapest_kernel(tolerance, content=content)
     except RequestError:
         return None
-    single = kernel_named(double.name, pass_band=double.pass_band, double=False)
+    single = kernel_of(double.taps, pass_band=double.pass_band, double=False)
     return single if single.predicted_error <= tolerance else None
 
 
@@ -195,13 +200,11 @@ def signals_by_angle(band: xr.Dataset, shaft: xr.Dataset, *, max_order: float, t
 class OrderMethod:
     """A way from samples to order spectra and what it costs in accuracy.
 
-    ``margin`` is the number of samples at each end that only serve their neighbours, ``highest`` the share of the
-    sample rate up to which orders are carried, ``kernel`` that of "resample".
+    ``highest`` is the share of the sample rate up to which orders are carried, ``kernel`` that of "resample".
     """
 
-    name: Literal["resample", "nufft", "as sampled", "no shaft"]
+    name: Literal["resample", "as sampled", "no shaft"]
     predicted_error: float
-    margin: int
     highest: float
     kernel: Kernel | None = None
 
@@ -211,7 +214,8 @@ class FrameLayout:
     """Where the frames of a recording lie: each ``revs`` long, beginning at ``begin_rev`` (frames,), in rev.
 
     They are ``hop_rev`` apart, or further where frames were left out that stand for no speed (``left_out``, how many);
-    ``shortened`` says whether the sweep asked for less than the settings.
+    ``shortened`` says whether the sweep asked for less than the settings, ``beyond`` by how many samples a recording
+    must be continued at both ends to hold them.
     """
 
     method: OrderMethod
@@ -220,6 +224,7 @@ class FrameLayout:
     begin_rev: Floats
     shortened: bool = False
     left_out: int = 0
+    beyond: int = 0
 
 
 def swept_revs(course: SpeedCourse, *, settings: OrderSettings, revs_per_cycle: int) -> int:
@@ -241,50 +246,45 @@ def swept_revs(course: SpeedCourse, *, settings: OrderSettings, revs_per_cycle: 
 def frame_layout(
     band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings, course: SpeedCourse | None = None
 ) -> FrameLayout:
-    """Frames of whole cycles that ``band`` and ``shaft`` hold, by the method that ``settings`` ask for.
+    """Frames of whole cycles that ``band`` and ``shaft`` hold, and the kernel within the tolerance of ``settings``.
 
     Where a ``course`` of the speed is given they are as short as its sweep asks for (:func:`swept_revs`) and, if that
     is shorter than the settings', a quarter of their length apart; frames that stand for no speed are left out.
-    Left to itself ("auto") the choice falls on resampling, the cheapest, unless its kernel misses the tolerance,
-    takes away the ends of a recording that has too few revolutions anyway, or does not carry the orders wanted.
-    Raises InputError where not even one cycle was recorded.
+    Where the neighbours that the kernel takes would cost a recording of few revolutions a cycle, it is continued beyond
+    its ends, on which a Hann window puts next to no weight. Raises InputError where not even one cycle was recorded.
     """
     cycle = int(shaft.attrs["revs_per_cycle"])
-    if is_by_angle(band):
-        first = float(shaft["crank_angle"].values[0])
-        held = band["signal"].shape[1] / int(band.attrs["samples_per_rev"])
-        candidates = [(OrderMethod("as sampled", 0.0, 0, 0.5), first, first + held)]
-    else:
-        samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
-        methods = order_methods(samples, settings=settings)
-        candidates = [(method, *covered_angles(samples, shaft, margin=method.margin)) for method in methods]
     asked = max(1, settings.revs_per_frame // cycle) * cycle
     wanted = asked if course is None else swept_revs(course, settings=settings, revs_per_cycle=cycle)
-    revs = [min(wanted, math.floor(last - first + ROUNDING_REV) // cycle * cycle) for _, first, last in candidates]
-    if max(revs) == 0:
-        held = max(last - first for _, first, last in candidates)
+
+    if is_by_angle(band):
+        method, first = OrderMethod("as sampled", 0.0, 0.5), float(shaft["crank_angle"].values[0])
+        ends = inner = first, first + band["signal"].shape[1] / int(band.attrs["samples_per_rev"])
+    else:
+        samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
+        kernel = kernel_for(samples, METHOD_SHARE * settings.tolerance)
+        method = OrderMethod("resample", kernel.predicted_error, samples.content, kernel)
+        ends, inner = (covered_angles(samples, shaft, margin=margin) for margin in (0, kernel.margin))
+    held = [math.floor(last - first + ROUNDING_REV) // cycle * cycle for first, last in (ends, inner)]
+    revs, beyond = min(wanted, held[0]), 0
+    first, last = inner
+    if revs > held[1]:
+        assert method.kernel is not None
+        (first, last), beyond = ends, method.kernel.margin
+    if revs == 0:
         raise InputError(
             "the recording holds less than one engine cycle",
             file=band.attrs["recording"],
-            found=f"{held:.2f} revolutions",
+            found=f"{ends[1] - ends[0]:.2f} revolutions",
             allowed=f"at least {cycle}",
         )
-    chosen = 0
-    if not is_by_angle(band):  # the first that gives frames as long, and orders as high, as any other
-        top = settings.max_order * float(np.nanmax(shaft["speed"].values)) / 60.0 / float(band.attrs["rate_hz"])
-        carried = [min(method.highest, top) for method, _, _ in candidates]
-        best = (max(revs), max(carried))
-        serves = (k for k, each in enumerate(zip(revs, carried, strict=True)) if each >= best)
-        chosen = next(serves, int(np.argmax(revs)))
-    method, first, last = candidates[chosen]
     overlap = settings.overlap if wanted == asked else max(settings.overlap, SWEPT_OVERLAP)
-    hop = max(1, round(revs[chosen] * (1.0 - overlap)))
-    count = math.floor((last - first - revs[chosen] + ROUNDING_REV) / hop) + 1
+    hop = max(1, round(revs * (1.0 - overlap)))
+    count = math.floor((last - first - revs + ROUNDING_REV) / hop) + 1
     begin = first + hop * np.arange(count, dtype=np.float64)
-    turning = np.ones(count, dtype=bool) if course is None else _turning(begin, revs[chosen], shaft, course)
-    return FrameLayout(
-        method, revs[chosen], hop, begin[turning], shortened=wanted < asked, left_out=int(count - turning.sum())
-    )
+    turning = np.ones(count, dtype=bool) if course is None else _turning(begin, revs, shaft, course)
+    left_out = int(count - turning.sum())
+    return FrameLayout(method, revs, hop, begin[turning], wanted < asked, left_out, beyond)
 
 
 def _turning(begin_rev: Floats, revs: int, shaft: xr.Dataset, course: SpeedCourse) -> Bools:
@@ -300,26 +300,3 @@ def _turning(begin_rev: Floats, revs: int, shaft: xr.Dataset, course: SpeedCours
     steps = (fastest - slowest > MOST_CHANGED * mean) & (rate > UNUSUAL_RATE * float(np.median(rate)))
     turning = (slowest >= SLOWEST_SHARE * mean) & ~steps
     return turning if turning.any() else np.ones(len(begin_rev), dtype=bool)
-
-
-def order_methods(samples: TimeSamples, *, settings: OrderSettings) -> list[OrderMethod]:
-    """Methods that meet the tolerance of ``settings`` for ``samples``, the cheapest first; those asked for by name.
-
-    Raises RequestError where the one asked for cannot meet it.
-    """
-    tolerance = METHOD_SHARE * settings.tolerance
-    methods = []
-    uneven = settings.method != "resample" and can_transform_uneven()
-    if settings.method == "nufft" and not uneven:
-        problem = "finufft is not installed, or CRANKORDER_FFT=scipy leaves it out"
-        raise RequestError(problem, place="orders.method", found="nufft", allowed="auto, resample")
-    if settings.method != "nufft":
-        try:
-            kernel = kernel_for(samples, tolerance)
-            methods = [OrderMethod("resample", kernel.predicted_error, kernel.margin, samples.content, kernel)]
-        except RequestError:
-            if not uneven:
-                raise
-    if uneven:
-        methods.append(OrderMethod("nufft", max(tolerance, LEAST_TOLERANCE), 0, MOST_CARRIED))
-    return methods
