@@ -297,3 +297,10 @@ def test_the_phase_is_kept_in_a_recording_that_begins_100_million_samples_after_
     band = sampled(signal[None], rate_hz=rate).assign_attrs(start_s=at[0] / rate)
     frames = order_frames(band, shaft(knots, knots * 1000.0 / 60.0, np.full(101, 1000.0)), settings=SETTINGS)
     np.testing.assert_allclose(frames["spectrum"].sel(order=5.5).values[0], 1.0, atol=1e-6)
+
+
+def test_a_mean_a_million_times_the_signal_does_not_leak():
+    band, angle = steady([SIGNAL], speed_rpm=1487.0, duration_s=6.0, rate_hz=2000.0)
+    quiet = order_frames(band, angle, settings=SETTINGS)["spectrum"].values
+    moved = order_frames(band.assign(signal=band["signal"] + 1e6), angle, settings=SETTINGS)["spectrum"].values
+    np.testing.assert_allclose(moved[:, :, 3:], quiet[:, :, 3:], atol=1e-6)

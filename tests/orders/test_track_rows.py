@@ -100,7 +100,7 @@ def test_a_channel_that_holds_nothing_has_no_band_rms():
 
 
 def test_beyond_what_the_sample_rate_carries_nothing_is_told_of_a_band():
-    made = made_map(rate_hz=500.0, noise=0.1)  # 12.5 orders
+    made = made_map(rate_hz=600.0, noise=0.1)  # 12 orders
     tracks = order_tracks(made, [11.0, 14.03], settings=SETTINGS.model_copy(update={"band_width_orders": 0.5}))
     assert np.isfinite(tracks["band_rms"].sel(order=11.0).values).all()
     assert np.isnan(tracks["band_rms"].sel(order=14.03).values).all()
