@@ -12,8 +12,8 @@ from crankorder.identify.findings import going_with_speed
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.machine_model import MachineModel
-from crankorder.identify.modes.alike_speeds import UNPARTED, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.floor import Floor
+from crankorder.identify.modes.settled_tones import UNPARTED, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.tones import kind_of, with_one_mains
 from crankorder.orders.intervals import Z95
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE

@@ -60,10 +60,10 @@ from crankorder.identify.lines.line_phasors import is_half_order, speed_source
 from crankorder.identify.lines.mains import mains_seen, motor_seen, without_ringing
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.machine_model import MachineModel
-from crankorder.identify.modes.alike_speeds import with_tones_settled
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_blocks import with_locks_through_modes
 from crankorder.identify.modes.responses import held_peak
+from crankorder.identify.modes.settled_tones import with_tones_settled
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.intervals import Z95, half_width, interval, positive_interval, size_interval
@@ -216,8 +216,7 @@ def _lines(measured: Measured, doubt: str | None, motor: Motor | None, settings:
     fitted = modal_fit(measured.campbell, order_map, in_map, settings=asked, followed=followed, swept=measured.swept)
     known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    parted = held if speed_source([*frames, order_map]) == "pulses" else ()
-    in_map, modal = with_tones_settled(in_map, modal, held, known, order_map, parted=parted, settings=asked)
+    modal = with_tones_settled(in_map, modal, held, known, settings=asked)
     in_map = in_map if doubt is None else undecided_orders(in_map)
     reader = TrackReader(order_map, frames=frames, followed=followed, fixed=fixed_lines(modal.tones))
     orders = with_track_rows(in_map, reader, settings=settings.orders)

@@ -260,16 +260,19 @@ class Band:
         padded = np.take_along_axis(padded, np.argsort(self._residue, axis=1)[:, :, None], axis=1)
         return np.asarray(np.einsum("frx,br->fbx", padded, self._table.conj(), optimize=True) / len(self.bins))
 
-    def periodogram(self, left: Complexes, low: float, high: float) -> tuple[Floats, Floats]:
+    def periodogram(self, left: Complexes, low: float, high: float, *, hertz: float = 0.0) -> tuple[Floats, Floats]:
         """Trial orders (trials,) from ``low`` to ``high``, and the share of what is ``left`` that a line at each takes.
 
-        Shares are summed over the channels of ``left`` (samples, channels).
+        Shares are summed over the channels of ``left`` (samples, channels). Near a frequency ``hertz`` lines that stay
+        at one are meant: what turns with the speed as that one does is taken off.
         """
-        slot, count = self.sample - self.sample[0], len(self.bins)
+        held, slot, count = self.held, self.sample - self.sample[0], len(self.bins)
         n = PADDED * (int(slot[-1]) + 1)
         series = np.zeros((n, left.shape[1]), dtype=np.complex128)
-        series[slot] = left
-        per_order = n * self.held.revs / count
+        turn = self.sample * held.revs / count
+        late = held.clock(turn) - held.clock(held.turn[0]) - (turn - held.turn[0]) * 60.0 / held.rpm
+        series[slot] = left * np.exp(-2j * np.pi * hertz * late)[:, None] if hertz else left
+        per_order = n * held.revs / count
         number = np.arange(np.ceil(low * per_order), np.floor(high * per_order) + 1.0)
         power = np.square(np.abs(np.fft.fft(series, axis=0)))[number.astype(np.int64) % n] / len(slot)
         share = power / np.maximum(np.square(np.abs(left)).sum(axis=0), 1e-300)

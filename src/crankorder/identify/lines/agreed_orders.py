@@ -33,9 +33,8 @@ from crankorder.identify.lines.line_phasors import (
 )
 from crankorder.identify.lines.mains import multiples_near
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
-from crankorder.identify.lines.order_lines import ONE_SPEED, SWELLS, longer_frames
+from crankorder.identify.lines.order_lines import SWELLS, longer_frames
 from crankorder.identify.lines.order_lines import SWEPT_NUMBERS as SWEPT_ORDERS
-from crankorder.identify.lines.several_orders import SOLVED, close_lines, lines_of_sightings
 from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.orders.intervals import excess_scatter, half_width
 from crankorder.orders.joint_lines import hann_lobe
@@ -163,7 +162,6 @@ def orders_agreed(
         for at, unnamed in enumerate(parted)
         if PARTED_IN_SWEEP not in unnamed.doubts or orders[at] not in orders[:at]
     ]
-    distinct = _with_close_lines(distinct, test, settings)
     if source == "stated":
         by_phase = [unnamed for unnamed in distinct if unnamed.number.by_phase]
         # the mains prove no speed, but with them and without them the others must
@@ -173,31 +171,6 @@ def orders_agreed(
         test = replace(test, speed_is_sure=proven)
     agreed = sorted((_named(unnamed, test) for unnamed in distinct), key=lambda named: named.order)
     return tuple(_without_twins(agreed, min(0.5 * test.resolution, settings.order_match)))
-
-
-def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySettings) -> list[_Unnamed]:
-    """``orders`` of a test at one speed with all close lines where more of them stand than were told there."""
-
-    def orders_between(low: float, high: float) -> list[float]:
-        return [unnamed.number.order for unnamed in orders if low <= unnamed.number.order <= high]
-
-    def doubtful(low: float, high: float) -> bool:
-        near = [unnamed for unnamed in orders if low <= unnamed.number.order <= high]
-        swells = any(SWELLS in unnamed.doubts or _may_be_two(unnamed.lines) for unnamed in near)
-        # a speed that wanders unseen makes several lines of one, and those would prove the speed
-        return test.by_pulses and (swells or not near)
-
-    places = close_lines(test.recordings, test.order_map, orders_between, doubtful, mains_hz=settings.mains_hz)
-    for close in places:
-        doubts = (Doubt("close lines", f"{len(close.solved)} {SOLVED}"),)
-        orders = [unnamed for unnamed in orders if not close.low <= unnamed.number.order <= close.high]
-        for line in close.solved:
-            lines = lines_of_sightings([(close.held, line)], (line.order, line.order_error), test.order_map)
-            freedom, span_rev = line.degrees_of_freedom, close.held.span_rev
-            number = _Number(line.order, line.order_error, freedom, True, parted_rev=span_rev)
-            if lines:
-                orders.append(_Unnamed(number, [replace(of, doubts=(ONE_SPEED,)) for of in lines], doubts))
-    return orders
 
 
 def _may_be_mains(unnamed: _Unnamed, settings: IdentifySettings) -> bool:

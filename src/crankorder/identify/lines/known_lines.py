@@ -20,9 +20,6 @@ from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "known_lines")
 
-GRID_CYCLES = 0.25
-"""Step of the search for a frequency, in cycles per recording: between two of them a line loses at most 10 %."""
-
 
 @dataclass(frozen=True, eq=False)
 class LineSeen:
@@ -123,26 +120,22 @@ def found_near(
     ``known`` lines are taken out first, the half and whole orders of the shaft where it is None. None where noise would
     make it.
     """
-    step = GRID_CYCLES / max(float(np.ptp(held.time_s)), 1e-9)
-    trial = np.arange(low_hz, high_hz + step, step)
     ends = np.array([held.order_of(Place(hertz)) for hertz in (low_hz, high_hz)])
     band = Band.about(held, *ends.tolist())
-    if band is None or len(trial) < 3:
+    if band is None:
         return None
     taken = _shaft_orders(held, ends, []) if known is None else known
     rest = joint_lines(band, taken).left if taken else band.data
-    shapes = band.waves([Place(hertz) for hertz in trial.tolist()])
-    gain = np.maximum(np.square(np.abs(shapes)).sum(axis=0), 1e-12)
-    power = np.square(np.abs(shapes.conj().T @ rest)) / gain[:, None]
-    score = (power / np.maximum(np.square(np.abs(rest)).sum(axis=0), 1e-300)).sum(axis=1)
+    trial, score = band.periodogram(rest, *ends.tolist(), hertz=0.5 * (low_hz + high_hz))
+    if len(trial) < 3:
+        return None
     # what lies within a cycle of a line that was taken out is its own rest
-    own = np.array([held.order_of(Place(hertz)) for hertz in trial.tolist()])
     for place in taken:
-        score[np.abs(own - held.order_of(place)) * held.span_rev < JOINT_LINES.apart_cycles] = 0.0
+        score[np.abs(trial - held.order_of(place)) * held.span_rev < JOINT_LINES.apart_cycles] = 0.0
     best = int(np.argmax(score))
     if score[best] <= 0.0 or best in (0, len(trial) - 1):
         return None  # at an end it is the flank of a line beyond
-    frequency = _summit(trial, score, best)
+    frequency = _summit(trial, score, best) * held.rpm / 60.0
     sighting = sightings(held, [Place(frequency), *(known or ())])[0]
     if sighting is None or not sighting.seen:
         return None

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from crankorder.identify.lines.close_lines import several_lines
 from crankorder.identify.lines.growth import largest
 from crankorder.identify.lines.known_lines import held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.lines.several_orders import several_lines
 from crankorder.orders.intervals import half_width
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -64,21 +64,6 @@ def test_a_locked_line_that_the_energy_of_its_bin_hides_is_found_by_its_phase():
         found = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
         hidden += len(found) == 2 and abs(found[1].order - 2.0) < 0.1 and found[1].evidence == "locked to the shaft"
     assert hidden >= 5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("pulses", [True, False])
-def test_three_lines_far_from_the_mains_that_swell_as_one_are_told_where_pulses_give_the_angle(seed, pulses):
-    """By a stated speed they may be one order whose speed wanders, and are left as they stand in the map."""
-    rng, angle = np.random.default_rng([seed, 12]), angle_of(740)
-    places = 3.0 + np.array([0.0, *np.cumsum(rng.uniform(3.0, 6.0, 2))]) / 740.0
-    signal = wave(angle, 1.0, 1.0) + 0.1 * rng.standard_normal(len(angle))
-    signal += waves(rng, angle, zip(places, rng.uniform(0.4, 1.0, 3), strict=True))
-    found = agreed_in([frames_of([signal], speed_rpm=1482.0, pulses=pulses)])
-    if pulses:
-        assert [one.order for one in found] == pytest.approx([1.0, *places], abs=3e-4)
-    assert any("solved together" in doubt.words for one in found for doubt in one.doubts) is pulses
 
 
 @pytest.mark.cases(1)

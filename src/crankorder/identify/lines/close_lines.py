@@ -1,26 +1,18 @@
-"""Orders of a test at one speed where more lines stand within a bin than steadiness and beat part."""
+"""Lines of a recording that stand too close for steadiness and beat to part them, solved together."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-import xarray as xr
 
-from crankorder.identify.found import OrderLine
-from crankorder.identify.lines.known_lines import held_recordings
-from crankorder.identify.lines.line_phasors import Recording
-from crankorder.identify.lines.mains import NUMBERS as MAINS
-from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
-from crankorder.identify.lines.order_lines import largest_within
-from crankorder.orders.intervals import Z95
 from crankorder.orders.joint_lines import LOBE_BINS, Band, HeldFrames, JointLines, Place, Sighting, joint_lines
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-NUMBERS = MethodNumbers("5-identify-lines.toml", "several_orders")
+NUMBERS = MethodNumbers("5-identify-lines.toml", "close_lines")
 
 
 def several_lines(held: HeldFrames, low: float, high: float, *, beyond: float = 0.0) -> list[Sighting]:
@@ -57,14 +49,6 @@ def several_lines(held: HeldFrames, low: float, high: float, *, beyond: float = 
             return []
         left, fit = joined.left, joined
     return []
-
-
-def leave_noise(held: HeldFrames, low: float, high: float, orders: Sequence[float]) -> bool:
-    """Whether lines at ``orders`` of ``held`` are all that stands between the orders ``low`` and ``high``."""
-    band = Band.about(held, low, high)
-    if band is None or not len(orders):
-        return False
-    return _is_noise(joint_lines(band, [Place(turns=order) for order in orders]), held.bins_within(low, high))
 
 
 def _is_noise(lines: JointLines, bins: Ints) -> bool:
@@ -136,107 +120,9 @@ def _with_errors(fit: JointLines, rest: float = 0.0) -> list[Sighting]:
     return [replace(line, order_error=float(np.hypot(line.order_error, least))) for line in lines]
 
 
-SOLVED = "lines within a quarter order, solved together"
-"""Words, after their number, of lines that were told apart so."""
-
-
-@dataclass(frozen=True, eq=False)
-class CloseLines:
-    """Lines ``solved`` between the orders ``low`` and ``high`` of a recording ``held``."""
-
-    low: float
-    high: float
-    held: HeldFrames
-    solved: tuple[Sighting, ...]
-
-
-def close_lines(
-    recordings: Sequence[Recording],
-    order_map: xr.Dataset,
-    orders_between: Callable[[float, float], Sequence[float]],
-    doubtful: Callable[[float, float], bool],
-    *,
-    mains_hz: Sequence[float],
-) -> list[CloseLines]:
-    """Neighbourhoods in the OrderMap ``order_map`` of one speed that hold more lines than were told there.
-
-    Those of the mains, for where the mains or their double meet an order of a motor, sidebands stand about both; and
-    those that are ``doubtful``, where nothing is told or what is told swells and fades, as three lines or more do.
-    ``recordings`` are those of the test, of which the longest is looked at; ``orders_between``
-    gives those that were told between two; ``mains_hz``: the frequencies of supplies.
-    """
-    if order_map.sizes["speed"] != 1 or order_map.attrs.get("window", "hann") != "hann":
-        return []
-    names = [str(name) for name in order_map["channel"].values]
-    axis = np.asarray(order_map["order"].values, dtype=np.float64)
-    held = max(held_recordings(recordings, names), key=lambda recording: recording.span_rev, default=None)
-    if held is None:
-        return []
-    reach = min(ORDER_LINES.neighbour_orders, ORDER_LINES.neighbour_bins * float(axis[1] - axis[0]))
-    close = []
-    multiples = range(1, MAINS.alone_multiples + 1)
-    of_mains = [60.0 * number * hertz / held.rpm for hertz in mains_hz for number in multiples]
-    for peak in _peaks(order_map, reach):
-        low, high = float(axis[peak]) - reach, float(axis[peak]) + reach
-        if not doubtful(low, high) and not any(low <= order <= high for order in of_mains):
-            continue
-        orders = orders_between(low, high)
-        if leave_noise(held, low, high, orders):
-            continue
-        inside = lines_within(held, low, high)
-        if len(inside) > max(len(orders), 1) and not _is_modulated(inside):
-            close.append(CloseLines(low, high, held, tuple(inside)))
-    return close
-
-
 def lines_within(held: HeldFrames, low: float, high: float) -> list[Sighting]:
     """Lines of ``held`` from ``low`` to ``high``; those beyond that reach into it take part."""
     if not held.reaches(low, high):
         return []
     beyond = LOBE_BINS / held.revs
     return [line for line in several_lines(held, low, high, beyond=beyond) if low <= line.order <= high]
-
-
-def _is_modulated(lines: Sequence[Sighting]) -> bool:
-    """Whether ``lines`` are pairs about the strongest, as one line makes them whose size or angle changes."""
-    strongest = max(lines, key=lambda line: line.sigmas)
-    rest = [line for line in lines if line is not strongest]
-
-    def mirrored(line: Sighting, other: Sighting) -> bool:
-        """Whether both stand as far away and are of one size, as far as their errors and a changing speed tell."""
-        off = abs(other.order - strongest.order + (line.order - strongest.order))
-        room = NUMBERS.same_sigmas * np.hypot(line.error, other.error)
-        room = room + NUMBERS.alike_share * np.maximum(line.amplitude, other.amplitude)
-        alike = bool((np.abs(line.amplitude - other.amplitude) <= room).all())
-        return alike and bool(off < NUMBERS.same_sigmas * np.hypot(line.order_error, other.order_error))
-
-    return all(any(mirrored(line, other) for other in rest) for line in rest)
-
-
-def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:
-    """Bins that stand far over the level about them in a channel and are the largest within ``reach`` orders."""
-    power = np.square(np.nan_to_num(order_map["amplitude"].values[:, 0].astype(np.float64)))
-    bins = max(1, round(reach / float(order_map["order"].values[1] - order_map["order"].values[0])))
-    wide = np.pad(power, ((0, 0), (NUMBERS.level_bins, NUMBERS.level_bins)), mode="reflect")
-    level = np.median(np.lib.stride_tricks.sliding_window_view(wide, 2 * NUMBERS.level_bins + 1, axis=1), axis=2)
-    over = (power / np.maximum(level, 1e-300)).max(axis=0)
-    peaks = (over >= largest_within(over, bins)) & (over > NUMBERS.stands_over_ratio)
-    return list(map(int, np.flatnonzero(peaks)))
-
-
-def lines_of_sightings(
-    seen: Sequence[tuple[HeldFrames, Sighting]], number: tuple[float, float], order_map: xr.Dataset
-) -> tuple[OrderLine, ...]:
-    """Line of a ``number`` (order and its standard error) in each channel that shows it, as recordings hold it.
-
-    ``seen`` are these, each with its sighting; rows and speeds are those of the OrderMap ``order_map``.
-    """
-    speed = np.asarray(order_map["speed"].values, dtype=np.float64)
-    rows = {int(np.nanargmin(np.abs(speed - held.rpm))): sighting for held, sighting in seen}
-    freedom, lines = min(sighting.degrees_of_freedom for _, sighting in seen), list[OrderLine]()
-    for k, name in enumerate(seen[0][0].channels):
-        clear = [row for row, sighting in sorted(rows.items()) if sighting.amplitude[k] > Z95 * sighting.error[k]]
-        size, error = (np.array([getattr(rows[row], key)[k] for row in clear]) for key in ("amplitude", "error"))
-        if clear:
-            lines.append(OrderLine.steady(name, number, (np.array(clear), speed[clear], size, error), freedom))
-    return tuple(lines)
