@@ -25,7 +25,8 @@ from crankorder.identify.lines.line_phasors import (
     sure_half_width,
 )
 from crankorder.identify.lines.order_lines import longer_frames
-from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
+from crankorder.orders.close_rows import OrderRows, PartedRow
+from crankorder.orders.fixed_lines import FixedLine
 from crankorder.orders.intervals import half_width, interval
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag
@@ -205,7 +206,13 @@ def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
 
 
 def _read(
-    line: OrderLine, *, channel: int, rows: OrderRows, met: Sequence[MetRow], n_independent: Floats, reader: TrackReader
+    line: OrderLine,
+    *,
+    channel: int,
+    rows: OrderRows,
+    met: Sequence[PartedRow],
+    n_independent: Floats,
+    reader: TrackReader,
 ) -> OrderLine:
     """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none.
 
@@ -241,7 +248,7 @@ def _read(
     return replace(made, remark="; ".join(text for text in (remark, *_met_words(apart, made, at, channel)) if text))
 
 
-def _met_words(met: Sequence[MetRow], line: OrderLine, at: Ints, channel: int) -> list[str]:
+def _met_words(met: Sequence[PartedRow], line: OrderLine, at: Ints, channel: int) -> list[str]:
     """What is said of rows that ``met`` lines of one frequency, of those ``at`` which ``line`` was seen."""
     said = []
     for row in met:
