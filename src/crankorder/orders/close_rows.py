@@ -85,11 +85,11 @@ class Stretch:
 class PartedRow:
     """One ``row`` of an ``order`` by itself, (channels,) each: complex amplitude ``value`` about angle 0, and errors.
 
-    ``power`` is that of the noise, of ``freedom`` degrees; ``along`` and ``across`` the value what it may have taken of
-    the lines beside as numbers are off; ``beyond`` what none of them explains, which is the order's own where it
-    ``wanders``. ``doubt`` is the largest that the others, among them the fixed ``lines``, may add to what is not parted
-    from them; ``beats``: as often with close orders as parts them; ``by_noise`` the error of the mean of the frames by
-    noise alone; ``angle`` the errors of the crank angle.
+    ``power`` is that of the noise, of ``freedom`` degrees; ``slack`` (3, channels) what the value may have taken of the
+    lines beside, along and across it, as numbers are off, and what none of them explains, which is the order's own
+    where it ``wanders``. ``doubt`` is the largest that the others, among them the fixed ``lines``, may add to what is
+    not parted from them; ``beats``: as often with close orders as parts them; ``by_noise`` the error of the mean of the
+    frames by noise alone; ``angle`` the errors of the crank angle.
     """
 
     row: int
@@ -100,9 +100,7 @@ class PartedRow:
     value: Complexes
     power: Floats
     freedom: Floats
-    along: Floats
-    across: Floats
-    beyond: Floats
+    slack: Floats
     doubt: Floats
     by_noise: Floats
     angle: AngleErrors
@@ -110,7 +108,7 @@ class PartedRow:
     @property
     def error(self) -> Floats:
         """Standard error (channels,) along one axis."""
-        return np.asarray(np.sqrt(0.5 * self.power + (np.square(self.along) + np.square(self.beyond)) / DOUBT**2))
+        return np.asarray(np.sqrt(0.5 * self.power + np.square(self.slack[[0, 2]] / DOUBT).sum(axis=0)))
 
     @property
     def is_parted(self) -> Bools:
@@ -118,23 +116,13 @@ class PartedRow:
         return np.asarray(self.beats & (np.sqrt(2.0) * self.error < NUMBERS.parted_share * self.doubt))
 
     @property
-    def touched(self) -> Bools:
-        """Where (channels,) the others add to the order at all."""
-        return np.asarray(self.doubt > NUMBERS.least_share * self.by_noise)
-
-    @property
     def matters(self) -> Bools:
-        """Where (channels,) that is more than noise hides."""
+        """Where (channels,) the others may add more than noise hides."""
         return np.asarray(self.doubt > Z95 * self.by_noise)
 
 
 def parted_rows(
-    stretches: Sequence[Stretch],
-    orders: Floats,
-    *,
-    exact: Bools,
-    apart: Sequence[float] = (),
-    fixed: Sequence[FixedLine] = (),
+    stretches: Sequence[Stretch], orders: Floats, exact: Bools, apart: Sequence[float], fixed: Sequence[FixedLine]
 ) -> list[PartedRow]:
     """What the ``stretches`` of a test hold of the first of ``orders`` (lines,), by row.
 
@@ -160,11 +148,10 @@ def parted_rows(
     parts: dict[int, list[PartedRow]] = {}
     for stretch, lines, most, fit in solved:
         part = _part(stretch, orders, fit, np.abs(off) + DOUBT * error)
-        part = replace(
-            part, lines=lines, wanders=bool(not exact[0] and exact[1:].all()), doubt=part.doubt + most * stretch.unit
-        )
+        part = replace(part, lines=lines, doubt=part.doubt + most * stretch.unit)
         parts.setdefault(stretch.row, []).append(part)
-    return [_joined(of_row) for of_row in parts.values()]
+    wanders = bool(not exact[0] and exact[1:].all())
+    return [replace(_joined(of_row), wanders=wanders) for of_row in parts.values()]
 
 
 def _met(
@@ -214,22 +201,13 @@ def _part(stretch: Stretch, orders: Floats, fit: JointLines, doubt: Floats) -> P
     off, known = _off(*fit.information)
     doubt = np.minimum(np.maximum(doubt, np.abs(off) - (1.0 + DOUBT) * known), 0.5 / held.span_rev)
     along, across = (np.sqrt(variance) * unit for variance in fit.doubt(0, np.diag(np.square(doubt))))
-    return PartedRow(
-        row=stretch.row,
-        order=order,
-        lines=(),
-        wanders=False,
-        beats=all(held.parts(order, float(other)) for other in orders[1:]),
-        value=line.phasor * stretch.unit,
-        power=fit.own[0] * fit.noise(0)[0] * np.square(unit),
-        freedom=np.full(len(unit), line.degrees_of_freedom),
-        along=along,
-        across=across,
-        beyond=np.sqrt(unexplained) / share * stretch.unit,
-        doubt=both * stretch.unit if len(orders) > 1 else np.zeros(len(unit)),
-        by_noise=np.sqrt(0.5 * stretch.beside / n) * stretch.unit,
-        angle=errors_of_rows([stretch.item], np.zeros(n, dtype=np.int64), [np.arange(n)]),
-    )
+    slack = np.array([along, across, np.sqrt(unexplained) / share * stretch.unit])
+    power, freedom = fit.own[0] * fit.noise(0)[0] * np.square(unit), np.full(len(unit), line.degrees_of_freedom)
+    both, by_noise = both * stretch.unit * (len(orders) > 1), np.sqrt(0.5 * stretch.beside / n) * stretch.unit
+    sizes = line.phasor * stretch.unit, power, freedom, slack, both, by_noise
+    angle = errors_of_rows([stretch.item], np.zeros(n, dtype=np.int64), [np.arange(n)])
+    beats = all(held.parts(order, float(other)) for other in orders[1:])
+    return PartedRow(stretch.row, order, (), False, beats, *sizes, angle)
 
 
 def _joined(parts: Sequence[PartedRow]) -> PartedRow:
@@ -240,20 +218,14 @@ def _joined(parts: Sequence[PartedRow]) -> PartedRow:
     share = weight / weight.sum(axis=0)
     size, direction = (share * np.abs(value)).sum(axis=0), (share * value).sum(axis=0)
     scatter = (share * np.square(np.abs(value) - size)).sum(axis=0) / max(len(used) - 1, 1)
-    random, mean = np.max([(part.angle.random, part.angle.mean) for part in used], axis=0)
-    return replace(
-        used[0],
-        lines=tuple(dict.fromkeys(line for part in parts for line in part.lines)),
-        value=size * direction / np.maximum(np.abs(direction), 1e-300),
-        power=(np.square(share) * power).sum(axis=0) + 2.0 * scatter,
-        freedom=np.min([part.freedom for part in used], axis=0),
-        by_noise=np.min([part.by_noise for part in parts], axis=0),
-        angle=AngleErrors(random, mean),
-        **{
-            name: np.max([getattr(part, name) for part in used], axis=0)
-            for name in ("along", "across", "beyond", "doubt")
-        },
-    )
+    power = (np.square(share) * power).sum(axis=0) + 2.0 * scatter
+    freedom, by_noise = (np.min([getattr(part, name) for part in used], axis=0) for name in ("freedom", "by_noise"))
+    slack, doubt = (np.max([getattr(part, name) for part in used], axis=0) for name in ("slack", "doubt"))
+    angle = AngleErrors(*np.max([(part.angle.random, part.angle.mean) for part in used], axis=0))
+    value = size * direction / np.maximum(np.abs(direction), 1e-300)
+    lines = tuple(dict.fromkeys(line for part in used for line in part.lines))
+    sizes = value, power, freedom, slack, doubt, by_noise
+    return PartedRow(used[0].row, used[0].order, lines, False, used[0].beats, *sizes, angle)
 
 
 def with_parted(rows: OrderRows, speed_rpm: Floats, parted: Sequence[PartedRow]) -> OrderRows:
@@ -266,10 +238,10 @@ def with_parted(rows: OrderRows, speed_rpm: Floats, parted: Sequence[PartedRow])
     made = OrderRows(*(getattr(rows, item.name).copy() for item in fields(OrderRows)))
     is_open = np.zeros(made.amplitude.shape, dtype=bool)
     for row in parted:
-        known = row.touched & np.isfinite(rows.amplitude[:, row.row])
+        known = np.isfinite(rows.amplitude[:, row.row])
         for item, value in zip(fields(OrderRows), _apart(rows, row), strict=True):
             getattr(made, item.name)[known, row.row] = value[known]
-        is_open[:, row.row] = row.matters & ~row.is_parted
+        is_open[:, row.row] = row.matters & ~row.is_parted & bool(row.lines)
     for channel in np.flatnonzero(is_open.any(axis=1)):
         amplitude, gap = made.amplitude[channel], is_open[channel]
         clear = np.flatnonzero(np.isfinite(amplitude) & ~gap)
@@ -285,22 +257,22 @@ def _apart(rows: OrderRows, parted: PartedRow) -> tuple[Floats, ...]:
     """Fields of OrderRows (channels,) of the row ``parted`` of ``rows``."""
     size, phase, error, _, low, high, half = (getattr(rows, item.name)[:, parted.row] for item in fields(OrderRows))
     own, power, order = np.abs(parted.value), parted.power, np.array(parted.order)
+    along, across, beyond = parted.slack
     own_low, own_high = amplitude_interval(own, power, parted.freedom)
-    own_low, own_high = own_low - parted.along, (own_high + parted.along + parted.beyond) / parted.angle.kept(order)
-    own_half = phase_interval_deg(own, power + 2.0 * np.square(parted.across / DOUBT), parted.freedom)
+    own_low, own_high = own_low - along, (own_high + along + beyond) / parted.angle.kept(order)
+    own_half = phase_interval_deg(own, power + 2.0 * np.square(across / DOUBT), parted.freedom)
+    own_half, own_phase = parted.angle.phase_half_deg(own_half, order), np.degrees(np.angle(parted.value))
     low, high = np.maximum(low - parted.doubt, 0.0), high + parted.doubt
     agree = parted.is_parted & (np.maximum(own_low, low) <= np.minimum(own_high, high))
     low, high = np.where(agree, np.maximum(own_low, low), low), np.where(agree, np.minimum(own_high, high), high)
-    own = np.hypot(own, parted.beyond) if parted.wanders else own
+    own = np.hypot(own, beyond) if parted.wanders else own
     with np.errstate(divide="ignore", invalid="ignore"):
         half = half + np.degrees(np.arcsin(parted.doubt / size))
     half = np.where(half < UNKNOWN_DEG, half, UNKNOWN_DEG)
-    return (
-        np.clip(np.where(agree, own, size), low, high),
-        np.where(np.isnan(phase), phase, np.where(agree, np.degrees(np.angle(parted.value)), phase)),
-        np.where(agree, parted.error, np.fmax(0.5 * (high - low) / Z95, error)),
-        np.where(agree, parted.freedom, LARGEST_DOF),
-        low,
-        high,
-        np.where(np.isnan(phase), phase, np.where(agree, parted.angle.phase_half_deg(own_half, order), half)),
+    size = np.clip(np.where(agree | (not parted.lines), own, size), low, high)
+    error = np.where(agree, parted.error, np.fmax(0.5 * (high - low) / Z95, error))
+    has_phase, freedom = np.isfinite(phase), np.where(agree, parted.freedom, LARGEST_DOF)
+    phase, half = (
+        np.where(has_phase, np.where(agree, *pair), np.nan) for pair in ((own_phase, phase), (own_half, half))
     )
+    return size, phase, error, freedom, low, high, half

@@ -437,14 +437,11 @@ def _solved(band: Band, places: tuple[Place, ...], free: Bools, power: Floats | 
         inverse = _of_known_power(gram, score, data, power / np.square(band.unit))
     phasor, at = _phasors(inverse, score), np.flatnonzero(free)
     own = np.broadcast_to(np.diagonal(inverse, axis1=1, axis2=2).real.T, phasor.shape)
-    moved = np.zeros((len(data), len(at), data.shape[1]), dtype=np.complex128)
-    follows = np.zeros((len(places), len(at), data.shape[1]), dtype=np.complex128)
-    if len(at):
-        beyond = band.waves(_moved(band.held, places, free, np.full(len(at), SLOPE_CYCLES / span)))
-        slopes = (beyond[:, at] - waves[:, at]) * (span / SLOPE_CYCLES)
-        taken = inverse @ (waves.conj().T @ slopes)
-        moved = np.moveaxis(slopes - waves @ taken, 0, 2) * phasor[at]
-        follows = -np.moveaxis(taken, 0, 2) * phasor[at]
+    nudged = _moved(band.held, places, free, np.full(len(at), SLOPE_CYCLES / span))
+    slopes = (band.waves(nudged)[:, at] - waves[:, at]) * (span / SLOPE_CYCLES) if len(at) else waves[:, at]
+    taken = inverse @ (waves.conj().T @ slopes)
+    moved = np.moveaxis(slopes - waves @ taken, 0, 2) * phasor[at]
+    follows = -np.moveaxis(taken, 0, 2) * phasor[at]
     return JointLines(band, places, phasor, data - waves @ phasor, own, free, moved, follows, crowded)
 
 

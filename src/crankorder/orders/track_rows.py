@@ -212,15 +212,11 @@ class TrackReader:
         Of the former those beat often enough that they are two lines in the longest recording.
         """
         starts = [item["crank_angle"].values for item in self._used if item.sizes["frame"]] if self._frames else []
-        span = max((float(np.ptp(start)) for start in starts), default=0.0)
-        beating, apart = [], []
-        for other in others:
-            bins = abs(other - order) / self._step
-            if bins < BEATING_BINS and bins * self._step * span > ALIKE_BEATS:
-                beating.append(other)
-            elif LEAST_APART_BINS < bins < TOGETHER_BINS:
-                apart.append(other)
-        return beating, apart
+        span = max((float(np.ptp(start)) for start in starts), default=0.0) * self._step
+        away = {other: abs(other - order) / self._step for other in others}
+        beating = [other for other, bins in away.items() if bins < BEATING_BINS and bins * span > ALIKE_BEATS]
+        parted = [other for other, bins in away.items() if LEAST_APART_BINS < bins < TOGETHER_BINS]
+        return beating, [other for other in parted if other not in beating]
 
     def _parted(self, order: float, others: Sequence[float]) -> list[PartedRow]:
         """Rows of ``order`` by itself, where it is close to ``others`` or meets lines of one frequency."""
@@ -230,7 +226,7 @@ class TrackReader:
         lines = [order, *beating]
         exact = np.array([self._is_on_bin(line) for line in lines])
         stretches = self._stretches([*lines, *apart])
-        return parted_rows(stretches, np.array(lines), exact=exact, apart=apart, fixed=self._fixed)
+        return parted_rows(stretches, np.array(lines), exact, apart, self._fixed)
 
     def _stretches(self, lines: Sequence[float]) -> list[Stretch]:
         """Frames of each recording in each row that are whole about the orders ``lines``; the first is told."""

@@ -241,7 +241,7 @@ def _read(
         phase_ci95_deg=rows.phase_ci95[channel, at],
         n_independent=n_independent[at],
     )
-    apart = [row for row in met if row.touched[channel]]
+    apart = [row for row in met if row.matters[channel]]
     is_as_shown = (at < held) & ~np.isin(at, [row.row for row in apart])
     shown = bool(is_as_shown[int(np.argmax(made.amplitude))])
     remark = remark_on(made.amplitude, made.amplitude_error, made.degrees_of_freedom, ends) if shown else ""
@@ -253,7 +253,7 @@ def _met_words(met: Sequence[PartedRow], line: OrderLine, at: Ints, channel: int
     said = []
     for row in met:
         place = np.flatnonzero(at == row.row)
-        if not len(place) or line.ends is None or not row.matters[channel]:
+        if not len(place) or line.ends is None:
             continue
         rpm, (low, high) = float(line.speed_rpm[place[0]]), line.ends[place[0]]
         what = " and ".join(line_met.text for line_met in row.lines)
