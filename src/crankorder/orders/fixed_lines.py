@@ -1,14 +1,9 @@
-"""Rows of an order beside lines of one frequency, as mains are: what of a row is the order's, and what may be not.
-
-The size of such a line is known from the other speeds of the test, where no order is near. Where an order meets it the
-two are told apart by their beat over a recording, as far as that is long enough; what is left of the doubt is part of
-the interval.
-"""
+"""Lines of one frequency, as mains are: those of a test that orders meet, and those taken out of sweeps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -16,54 +11,10 @@ from scipy.fft import fft, ifft, next_fast_len
 
 from crankorder.fft.decimation import sound_samples
 from crankorder.findings import Findings
-from crankorder.orders.close_rows import Stretch
-from crankorder.orders.intervals import LARGEST_DOF, Z95, amplitude_interval, phase_interval_deg
-from crankorder.orders.joint_lines import Band, Place, hann_lobe, joint_lines
-from crankorder.orders.true_angle import UNKNOWN_DEG
-from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag
+from crankorder.orders.intervals import Z95
+from crankorder.quantities import Bools, Complexes, Floats, QualityFlag
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.angle import SpeedCourse
-
-NUMBERS = MethodNumbers("3-orders-lines.toml", "fixed_lines")
-
-SPREADS, COURSE_CYCLES, MOST_COURSES = 2.5, 0.5, 20
-"""Standard deviations of the frequency of a line over which its power is spread on each side of it, cycles over the
-recording between the courses that hold it, and how many there are on each side at most."""
-
-RIGHT_ANGLE_DEG = 90.0
-"""By which a line as large as the order may turn it; beyond, its phase is not known."""
-
-
-@dataclass(frozen=True)
-class OrderRows:
-    """One order in all channels by row: peak amplitude, phase [degree], standard error, degrees of freedom, 95 % ends.
-
-    Each (channels, rows), NaN (0 degrees of freedom) where nothing is known; the phase where there is no mark.
-    """
-
-    amplitude: Floats
-    phase: Floats
-    standard_error: Floats
-    degrees_of_freedom: Floats
-    amplitude_low: Floats
-    amplitude_high: Floats
-    phase_ci95: Floats
-
-    @classmethod
-    def nothing(cls, n_channels: int, n_rows: int) -> OrderRows:
-        """Rows in which nothing is known: ``n_rows`` of them in ``n_channels`` channels."""
-        given = [np.full((n_channels, n_rows), np.nan) for _ in fields(cls)]
-        given[3] = np.zeros((n_channels, n_rows))
-        return cls(*given)
-
-    def of(self, which: Ints | Bools) -> OrderRows:
-        """Those of the rows that ``which`` picks."""
-        return OrderRows(*(getattr(self, item.name)[:, which] for item in fields(self)))
-
-    def beside(self, other: OrderRows) -> OrderRows:
-        """These rows, then those of ``other``."""
-        names = [item.name for item in fields(self)]
-        return OrderRows(*(np.concatenate([getattr(self, name), getattr(other, name)], axis=1) for name in names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,26 +35,6 @@ class FixedLine:
         return f"{self.name} of {self.frequency_hz:.5g} Hz"
 
 
-@dataclass(frozen=True, eq=False)
-class MetRow:
-    """A row of an order that meets fixed ``lines``: (channels,) complex amplitude, noise power of its error, freedom.
-
-    ``doubt`` (channels,) is the largest that the lines may add to what is not parted from them; ``is_parted``
-    (channels,) where the recordings told the order apart from them, ``touched`` (channels,) where they add to it
-    at all, and ``matters`` (channels,) where that is more than noise hides.
-    """
-
-    row: int
-    lines: tuple[FixedLine, ...]
-    value: Complexes
-    power: Floats
-    freedom: Floats
-    doubt: Floats
-    is_parted: Bools
-    touched: Bools
-    matters: Bools
-
-
 def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
     """The lines of one frequency that ``findings`` name, with their amplitudes in all channels."""
     found: dict[float, FixedLine] = {}
@@ -118,158 +49,6 @@ def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
         line = found.setdefault(one.frequency_hz, FixedLine(one.frequency_hz, error, str(one.explained_by), {}))
         line.amplitude[one.channel] = one.amplitude, (high - one.amplitude) / Z95
     return tuple(found.values())
-
-
-def met_rows(
-    stretches: Sequence[Stretch],
-    order: float,
-    lines: Sequence[FixedLine],
-    *,
-    close: Sequence[float] = (),
-    is_coherent: bool,
-) -> list[MetRow]:
-    """What the ``stretches`` of a test hold of an ``order`` apart from the fixed ``lines`` that it meets, row by row.
-
-    Orders ``close`` to it are solved with it. Where the order is not known so well that its frames have one phase
-    (``is_coherent``) nothing is told apart.
-    """
-    parts: dict[int, list[_Met]] = {}
-    for stretch in stretches:
-        met = _met(stretch, order, lines, close)
-        if met is not None:
-            parts.setdefault(stretch.row, []).append(met)
-    return [_met_row(row, of_row, is_coherent) for row, of_row in parts.items()]
-
-
-@dataclass(frozen=True, eq=False)
-class _Met:
-    """Amplitude ``value`` (channels,) of an order in one stretch, apart from ``lines``, and the ``power`` of its error.
-
-    ``most`` (channels,) is the largest amplitude that the lines may have in a phasor of the order, ``by_noise``
-    (channels,) the error that noise alone leaves of the mean of the frames.
-    """
-
-    lines: tuple[FixedLine, ...]
-    value: Complexes
-    power: Floats
-    freedom: Floats
-    most: Floats
-    by_noise: Floats
-
-
-def _met(stretch: Stretch, order: float, lines: Sequence[FixedLine], close: Sequence[float]) -> _Met | None:
-    """The ``order`` in one stretch, apart from those of the ``lines`` that show there; None where none does.
-
-    A line is of known power and unknown phase. Its frequency is known to an error and wanders, so that its power is
-    spread over courses of frequencies about it.
-    """
-    held = stretch.held
-    away = [np.abs(line.frequency_hz * held.pace_s - order).min() * held.revs for line in lines]
-    near = [line for line, bins in zip(lines, away, strict=True) if bins < NUMBERS.reach_bins]
-    band = Band.about(held, order, order) if near else None
-    if band is None or len(held.turn) < 2:
-        return None
-    places, power = [Place(turns=turns) for turns in (order, *close)], [np.full(len(held.channels), np.inf)]
-    power *= len(places)
-    most = np.zeros(len(held.channels))
-    seconds = held.span_rev * 60.0 / held.rpm
-    for line in near:
-        size, error = np.array([line.amplitude.get(name, (0.0, 0.0)) for name in held.channels]).T
-        spread = float(np.hypot(line.error_hz, NUMBERS.wander_hz))
-        half = min(int(np.ceil(SPREADS * spread * seconds / COURSE_CYCLES)), MOST_COURSES)
-        off = np.linspace(-SPREADS * spread, SPREADS * spread, 2 * half + 1)
-        weight = np.exp(-0.5 * np.square(off / spread))
-        places += [Place(line.frequency_hz + step) for step in off.tolist()]
-        whole = np.square(size / stretch.unit) + np.square(error / stretch.unit)
-        power += [share * whole for share in (weight / weight.sum()).tolist()]
-        most += np.abs(hann_lobe((line.frequency_hz * held.pace_s - order) * held.revs)).max() * (size + Z95 * error)
-    solved = joint_lines(band, places, power=np.array(power))
-    noise, freedom = solved.noise(0)
-    unit = band.unit * stretch.unit
-    value, variance = solved.phasor[0] * unit, solved.own[0] * noise * np.square(unit)
-    by_noise = np.sqrt(0.5 * stretch.beside / len(held.turn)) * stretch.unit
-    return _Met(tuple(near), value, variance, np.full(len(value), freedom), most, by_noise)
-
-
-def _met_row(row: int, parts: Sequence[_Met], is_coherent: bool) -> MetRow:
-    """The ``parts`` of one ``row``, of several stretches, together."""
-    value, power = (np.array([getattr(part, name) for part in parts]) for name in ("value", "power"))
-    weight = 1.0 / np.maximum(power, 1e-300)
-    share = weight / weight.sum(axis=0)
-    direction = (share * value).sum(axis=0)
-    size = (share * np.abs(value)).sum(axis=0)
-    told = size * direction / np.maximum(np.abs(direction), 1e-300)
-    scatter = (share * np.square(np.abs(value) - size)).sum(axis=0) / max(len(parts) - 1, 1)
-    joined = 1.0 / weight.sum(axis=0) + 2.0 * scatter
-    doubt, by_noise = np.max([part.most for part in parts], axis=0), np.min([part.by_noise for part in parts], axis=0)
-    return MetRow(
-        row=row,
-        lines=tuple(dict.fromkeys(line for part in parts for line in part.lines)),
-        value=told if is_coherent else np.full(told.shape, np.nan + 0j),
-        power=joined,
-        freedom=np.min([part.freedom for part in parts], axis=0),
-        doubt=doubt,
-        is_parted=(joined < NUMBERS.parted_share**2 * np.square(doubt)) & is_coherent,
-        touched=doubt > NUMBERS.least_share * by_noise,
-        matters=doubt > Z95 * by_noise,
-    )
-
-
-def beside_fixed(rows: OrderRows, speed_rpm: Floats, met: Sequence[MetRow]) -> OrderRows:
-    """``rows`` of an order at ``speed_rpm`` (rows,), those that ``met`` lines of one frequency apart from these.
-
-    Where the recordings tell them apart the row is what the order is by itself. Where they do not, the interval holds
-    whatever the lines may add or take; the amplitude is that of the speeds beside if the lines explain the difference,
-    and stays what it is where they are too small for that.
-    """
-    if not met:
-        return rows
-    made = OrderRows(**{item.name: getattr(rows, item.name).copy() for item in fields(OrderRows)})
-    open_rows = np.zeros(made.amplitude.shape, dtype=bool)
-    for one in met:
-        _put(made, one, one.touched & np.isfinite(rows.amplitude[:, one.row]))
-        open_rows[:, one.row] = one.matters & ~one.is_parted
-    for channel, row in zip(*np.nonzero(open_rows), strict=True):
-        beside = _beside(speed_rpm, made.amplitude[channel], open_rows[channel], int(row))
-        if made.amplitude_low[channel, row] <= beside <= made.amplitude_high[channel, row]:
-            made.amplitude[channel, row] = beside
-    return made
-
-
-def _put(made: OrderRows, one: MetRow, touched: Bools) -> None:
-    """The row ``one`` into ``made``, in the channels that its lines ``touched``."""
-    row = one.row
-    low, high = np.maximum(made.amplitude_low[:, row] - one.doubt, 0.0), made.amplitude_high[:, row] + one.doubt
-    size, phase = made.amplitude[:, row], made.phase[:, row]
-    is_told = touched & one.is_parted
-    own_low, own_high = amplitude_interval(np.abs(one.value), one.power, one.freedom)
-    agree = is_told & (np.maximum(own_low, low) <= np.minimum(own_high, high))
-    low, high = np.where(agree, np.maximum(own_low, low), low), np.where(agree, np.minimum(own_high, high), high)
-    size = np.clip(np.where(agree, np.abs(one.value), size), low, high)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        turned = np.degrees(np.arcsin(np.minimum(one.doubt / made.amplitude[:, row], 1.0)))
-    as_shown = np.where(turned < RIGHT_ANGLE_DEG, made.phase_ci95[:, row] + turned, UNKNOWN_DEG)
-    half = np.where(agree, phase_interval_deg(np.abs(one.value), one.power, one.freedom), as_shown)
-    error = np.where(agree, np.sqrt(0.5 * one.power), 0.5 * (high - low) / Z95)
-    told = {
-        "amplitude": size,
-        "amplitude_low": low,
-        "amplitude_high": high,
-        "standard_error": np.maximum(error, np.where(agree, 0.0, np.nan_to_num(made.standard_error[:, row]))),
-        "degrees_of_freedom": np.where(agree, one.freedom, LARGEST_DOF),
-        "phase": np.where(agree & np.isfinite(phase), np.degrees(np.angle(one.value)), phase),
-        "phase_ci95": np.where(np.isfinite(phase), np.minimum(half, UNKNOWN_DEG), made.phase_ci95[:, row]),
-    }
-    for name, value in told.items():
-        array: Floats = getattr(made, name)
-        array[touched, row] = value[touched]
-
-
-def _beside(speed_rpm: Floats, amplitude: Floats, is_open: Bools, row: int) -> float:
-    """Amplitude at ``row`` straight between the nearest rows on both sides that are not open; NaN where none is."""
-    clear = np.flatnonzero(np.isfinite(amplitude[: len(speed_rpm)]) & ~is_open[: len(speed_rpm)])
-    clear = clear[np.argsort(speed_rpm[clear], kind="stable")]
-    return float(np.interp(speed_rpm[row], speed_rpm[clear], amplitude[clear])) if len(clear) else np.nan
 
 
 STEADY_NUMBERS = MethodNumbers("3-orders-lines.toml", "steady_lines")

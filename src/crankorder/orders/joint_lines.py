@@ -348,8 +348,11 @@ class JointLines:
 
     @cached_property
     def information(self) -> tuple[Floats, Floats]:
-        """What the data say of the numbers (free,): Fisher's information (free, free), and the score (free,)."""
-        return self._scores(2.0 / np.mean([self.noise(line)[0] for line in np.flatnonzero(self.free).tolist()], axis=0))
+        """What the data say of the numbers (free,): Fisher's information (free, free), and the score (free,).
+
+        In the noise beside the first line.
+        """
+        return self._scores(2.0 / self.noise(0)[0])
 
     def _scores(self, weight: Floats) -> tuple[Floats, Floats]:
         """Normal matrix (free, free) and score (free,) of the numbers, channels by ``weight`` (channels,)."""
@@ -401,7 +404,7 @@ def joint_lines(
         over the recording
     free : which numbers are solved for, all or none where one word is said
     power : (lines, channels), mean squared amplitude that is known of each line, infinite where nothing is; a line of
-        known power and unknown phase takes no more of the data than that (numbers are then known)
+        known power and unknown phase takes no more of the data than that
     crowded : whether more lines than these may stand there, so that the noise is the median of the places beside
     settled : whether free numbers are moved to where least is left; else it is only told what the data say of them
     """
@@ -432,39 +435,38 @@ def _solved(band: Band, places: tuple[Place, ...], free: Bools, power: Floats | 
     waves, data, span = band.waves(places), band.data, band.held.span_rev
     gram, score = waves.conj().T @ waves, waves.conj().T @ data
     if power is None:
-        inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
-        phasor, own = inverse @ score, np.repeat(np.diag(inverse).real[:, None], data.shape[1], axis=1)
+        inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)[None]
     else:
-        phasor, own = _of_known_power(gram, score, data, power / np.square(band.unit))
-    left = data - waves @ phasor
-    at = np.flatnonzero(free)
-    moved = np.zeros((len(data), len(at), data.shape[1]), dtype=np.complex128)
-    follows = np.zeros((len(places), len(at), data.shape[1]), dtype=np.complex128)
-    if len(at):
-        beyond = band.waves(_moved(band.held, places, free, np.full(len(at), SLOPE_CYCLES / span)))
-        slopes = (beyond[:, at] - waves[:, at]) * (span / SLOPE_CYCLES)
-        taken = inverse @ (waves.conj().T @ slopes)
-        moved = (slopes - waves @ taken)[:, :, None] * phasor[at]
-        follows = -taken[:, :, None] * phasor[at]
-    return JointLines(band, places, phasor, left, own, free, moved, follows, crowded)
+        inverse = _of_known_power(gram, score, data, power / np.square(band.unit))
+    phasor, at = _phasors(inverse, score), np.flatnonzero(free)
+    own = np.broadcast_to(np.diagonal(inverse, axis1=1, axis2=2).real.T, phasor.shape)
+    nudged = _moved(band.held, places, free, np.full(len(at), SLOPE_CYCLES / span))
+    slopes = (band.waves(nudged)[:, at] - waves[:, at]) * (span / SLOPE_CYCLES) if len(at) else waves[:, at]
+    taken = inverse @ (waves.conj().T @ slopes)
+    moved = np.moveaxis(slopes - waves @ taken, 0, 2) * phasor[at]
+    follows = -np.moveaxis(taken, 0, 2) * phasor[at]
+    return JointLines(band, places, phasor, data - waves @ phasor, own, free, moved, follows, crowded)
 
 
-def _of_known_power(gram: Complexes, score: Complexes, data: Complexes, power: Floats) -> tuple[Complexes, Floats]:
-    """Phasors (lines, channels) of lines of known ``power`` (lines, channels), and their variances in noise of power 1.
+def _of_known_power(gram: Complexes, score: Complexes, data: Complexes, power: Floats) -> Complexes:
+    """Inverse normal matrices (channels, lines, lines) of lines of known ``power`` (lines, channels).
 
     By the normal matrix ``gram`` and the ``score`` of the ``data``, in the noise that is left.
     """
     n, total = len(data), np.square(np.abs(data)).sum(axis=0)
-    phasor = np.linalg.pinv(gram, rcond=1e-6, hermitian=True) @ score
-    own = np.ones(phasor.shape)
+    inverse = np.linalg.pinv(gram, rcond=1e-6, hermitian=True)[None]
     for _ in range(3):
+        phasor = _phasors(inverse, score)
         taken = (2.0 * (phasor.conj() * score).real - (phasor.conj() * (gram @ phasor)).real).sum(axis=0)
         noise = np.maximum((total - taken) / max(n - 1, 1), 1e-24 * total / n + 1e-300)
-        for channel in range(data.shape[1]):
-            tied = noise[channel] / np.maximum(power[:, channel], 1e-300)
-            inverse = np.linalg.inv(gram + np.diag(np.minimum(tied, 1e12 * n)))
-            phasor[:, channel], own[:, channel] = inverse @ score[:, channel], np.diag(inverse).real
-    return phasor, own
+        tied = np.minimum(noise / np.maximum(power, 1e-300), 1e12 * n).T
+        inverse = np.linalg.inv(gram + tied[:, :, None] * np.eye(len(gram)))
+    return np.asarray(inverse)
+
+
+def _phasors(inverse: NDArray[np.complexfloating], score: Complexes) -> Complexes:
+    """Phasors (lines, channels) by the ``inverse`` (channels or 1, lines, lines) of normal matrices and the score."""
+    return np.asarray((inverse @ score.T[:, :, None])[:, :, 0].T)
 
 
 def hann_lobe(off_bins: Floats) -> Floats:

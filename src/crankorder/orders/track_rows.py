@@ -16,8 +16,8 @@ import xarray as xr
 from crankorder.fft.windows import power_of_two
 from crankorder.findings import Findings
 from crankorder.orders.averages import HeldSizes, SizeRows, beside_bins, noise_beside, noise_under
-from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
-from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows, beside_fixed, met_rows
+from crankorder.orders.close_rows import ALIKE_BEATS, OrderRows, PartedRow, Stretch, parted_rows, with_parted
+from crankorder.orders.fixed_lines import FixedLine
 from crankorder.orders.intervals import (
     Z95,
     amplitude_interval,
@@ -118,7 +118,7 @@ class TrackReader:
     def rows(self, order: float, others: Sequence[float] = ()) -> OrderRows:
         """OrderRows of ``order`` (cycles per crank revolution, exact), told from ``others`` that are close to it."""
         places = [_place_in(item, order) for item in self.items]
-        made = beside_fixed(self._of_map(order, others), self.map_rpm, self.met(order, others))
+        made = with_parted(self._of_map(order, others), self.map_rpm, self._parted(order, others))
         hidden = self._rows_of_sweeps([item for item, place in zip(self.items, places, strict=True) if place >= 0])
         if hidden.any():
             nothing = OrderRows.nothing(len(made.amplitude), len(hidden))
@@ -129,14 +129,9 @@ class TrackReader:
             made = made.beside(_followed_rows(item, place, order))
         return made
 
-    def met(self, order: float, others: Sequence[float] = ()) -> list[MetRow]:
+    def met(self, order: float, others: Sequence[float] = ()) -> list[PartedRow]:
         """Rows of the map in which ``order``, told from ``others`` close to it, meets lines of one frequency."""
-        if not self._fixed or not self._frames:
-            return []
-        close = [other for other in others if LEAST_APART_BINS < abs(other - order) / self._step < TOGETHER_BINS]
-        is_coherent = bool(np.abs(self._axis - order).min() < ON_BIN)
-        stretches = [stretch for stretch in self._stretches([order, *close]) if not stretch.item.attrs.get("swept", 0)]
-        return met_rows(stretches, order, self._fixed, close=close, is_coherent=is_coherent)
+        return [row for row in self._parted(order, others) if row.lines]
 
     def follows(self, order: float) -> bool:
         """Whether ``order`` was followed through a sweep."""
@@ -199,49 +194,39 @@ class TrackReader:
 
     def _of_map(self, order: float, others: Sequence[float]) -> OrderRows:
         """Rows of the map: its coherent average on a bin, else the frames at the exact order, by energy."""
-        step = self._step
-        nearest = round(order / step)
+        nearest = round(order / self._step)
         if not 0 <= nearest < len(self._axis):
             return OrderRows.nothing(self.order_map.sizes["channel"], len(self.map_rpm))
-        if abs(self._axis[nearest] - order) < ON_BIN:
-            made = OrderRows(*(self.order_map[name].values[..., nearest] for name in _ON_BIN_NAMES))
-        else:
-            made = self._between_bins(order / step, self._close(order / step, others), nearest)
-        beating = [one for one in others if abs(one - order) < BEATING_BINS * step and self._beats(one - order)]
-        return self._parted_by_beat(made, order, beating, others) if beating else made
+        if self._is_on_bin(order):
+            return OrderRows(*(self.order_map[name].values[..., nearest] for name in _ON_BIN_NAMES))
+        close = [other / self._step for other in self._close(order, others)[1]]
+        return self._between_bins(order / self._step, close, nearest)
 
-    def _beats(self, apart: float) -> bool:
-        """Whether lines so many orders ``apart`` are two in the longest recording."""
-        if not self._frames:
-            return False
-        spans = [float(np.ptp(item["crank_angle"].values)) for item in self._used if item.sizes["frame"]]
-        return abs(apart) * max(spans, default=0.0) > ALIKE_BEATS
+    def _is_on_bin(self, order: float) -> bool:
+        """Whether ``order`` stands on a bin of the map."""
+        return bool(np.abs(self._axis - order).min() < ON_BIN)
 
-    def _parted_by_beat(
-        self, made: OrderRows, order: float, beating: list[float], others: Sequence[float]
-    ) -> OrderRows:
-        """``made`` with the rows of ``order`` as it beats with the lines ``beating``, over whole recordings."""
-        lines = np.array([order, *beating])
-        found: dict[int, list[CloseRow]] = {}
-        apart = [other for other in others if other not in beating]
-        apart = [other for other in apart if LEAST_APART_BINS < abs(other - order) / self._step < TOGETHER_BINS]
-        on_bin = np.abs(lines / self._step - np.rint(lines / self._step)) * self._step < ON_BIN
-        for one in close_rows(
-            self._stretches([*lines, *apart]), lines, apart, wanders=bool(not on_bin[0] and on_bin[1:].all())
-        ):
-            found.setdefault(one.row, []).append(one)
-        values = {item.name: getattr(made, item.name).copy() for item in fields(OrderRows)}
-        for row, parts in found.items():
-            one, unit = joined_row(parts), self._unit[:, 0]
-            phase_known = np.isfinite(made.phase[:, row])
-            values["amplitude"][:, row] = unit * np.abs(one.value)
-            values["standard_error"][:, row] = unit * one.error
-            values["degrees_of_freedom"][:, row] = one.freedom
-            values["amplitude_low"][:, row] = unit * one.low
-            values["amplitude_high"][:, row] = unit * one.high
-            values["phase"][:, row] = np.where(phase_known, np.degrees(np.angle(one.value)), np.nan)
-            values["phase_ci95"][:, row] = np.where(phase_known, one.phase_half, np.nan)
-        return OrderRows(**values)
+    def _close(self, order: float, others: Sequence[float]) -> tuple[list[float], list[float]]:
+        """Those of ``others`` that ``order`` beats with over whole recordings, and those that its frames part from it.
+
+        Of the former those beat often enough that they are two lines in the longest recording.
+        """
+        starts = [item["crank_angle"].values for item in self._used if item.sizes["frame"]] if self._frames else []
+        span = max((float(np.ptp(start)) for start in starts), default=0.0) * self._step
+        away = {other: abs(other - order) / self._step for other in others}
+        beating = [other for other, bins in away.items() if bins < BEATING_BINS and bins * span > ALIKE_BEATS]
+        parted = [other for other, bins in away.items() if LEAST_APART_BINS < bins < TOGETHER_BINS]
+        return beating, [other for other in parted if other not in beating]
+
+    def _parted(self, order: float, others: Sequence[float]) -> list[PartedRow]:
+        """Rows of ``order`` by itself, where it is close to ``others`` or meets lines of one frequency."""
+        beating, apart = self._close(order, others)
+        if not self._frames or not (beating or self._fixed):
+            return []
+        lines = [order, *beating]
+        exact = np.array([self._is_on_bin(line) for line in lines])
+        stretches = self._stretches([*lines, *apart])
+        return parted_rows(stretches, np.array(lines), exact, apart, self._fixed)
 
     def _stretches(self, lines: Sequence[float]) -> list[Stretch]:
         """Frames of each recording in each row that are whole about the orders ``lines``; the first is told."""
@@ -264,11 +249,6 @@ class TrackReader:
                 held = HeldFrames.of(scaled, turn[mine], speed[mine], revs=revs, channels=names)
                 stretches.append(Stretch(item, row, held, noise[:, row], self._unit[:, 0]))
         return stretches
-
-    def _close(self, place: float, others: Sequence[float]) -> list[float]:
-        """Those of the ``others`` [orders], in bins, that are solved together with a line ``place`` bins up."""
-        bins = [other / self._step for other in others]
-        return [one for one in bins if LEAST_APART_BINS < abs(one - place) < TOGETHER_BINS]
 
     def _between_bins(self, place: float, close: list[float], nearest: int) -> OrderRows:
         """Rows of a line ``place`` bins up, between two bins, solved with those ``close`` to it (in bins)."""

@@ -25,7 +25,8 @@ from crankorder.identify.lines.line_phasors import (
     sure_half_width,
 )
 from crankorder.identify.lines.order_lines import longer_frames
-from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
+from crankorder.orders.close_rows import OrderRows, PartedRow
+from crankorder.orders.fixed_lines import FixedLine
 from crankorder.orders.intervals import half_width, interval
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag
@@ -205,7 +206,13 @@ def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
 
 
 def _read(
-    line: OrderLine, *, channel: int, rows: OrderRows, met: Sequence[MetRow], n_independent: Floats, reader: TrackReader
+    line: OrderLine,
+    *,
+    channel: int,
+    rows: OrderRows,
+    met: Sequence[PartedRow],
+    n_independent: Floats,
+    reader: TrackReader,
 ) -> OrderLine:
     """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none.
 
@@ -234,19 +241,19 @@ def _read(
         phase_ci95_deg=rows.phase_ci95[channel, at],
         n_independent=n_independent[at],
     )
-    apart = [row for row in met if row.touched[channel]]
+    apart = [row for row in met if row.matters[channel]]
     is_as_shown = (at < held) & ~np.isin(at, [row.row for row in apart])
     shown = bool(is_as_shown[int(np.argmax(made.amplitude))])
     remark = remark_on(made.amplitude, made.amplitude_error, made.degrees_of_freedom, ends) if shown else ""
     return replace(made, remark="; ".join(text for text in (remark, *_met_words(apart, made, at, channel)) if text))
 
 
-def _met_words(met: Sequence[MetRow], line: OrderLine, at: Ints, channel: int) -> list[str]:
+def _met_words(met: Sequence[PartedRow], line: OrderLine, at: Ints, channel: int) -> list[str]:
     """What is said of rows that ``met`` lines of one frequency, of those ``at`` which ``line`` was seen."""
     said = []
     for row in met:
         place = np.flatnonzero(at == row.row)
-        if not len(place) or line.ends is None or not row.matters[channel]:
+        if not len(place) or line.ends is None:
             continue
         rpm, (low, high) = float(line.speed_rpm[place[0]]), line.ends[place[0]]
         what = " and ".join(line_met.text for line_met in row.lines)
