@@ -1,4 +1,4 @@
-"""Tones of the map beside the recordings: no flank of a stronger tone, and no narrow interval between two lines."""
+"""Tones of the map beside the recordings: mains, tones, or orders."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -13,9 +13,8 @@ from crankorder.identify.found import Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.floor import Floor
-from crankorder.identify.modes.settled_tones import UNPARTED, with_tones_parted, without_absent_mains
+from crankorder.identify.modes.settled_tones import without_absent_mains
 from crankorder.identify.modes.tones import kind_of, with_one_mains
-from crankorder.orders.intervals import Z95
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
@@ -33,54 +32,6 @@ def recorded(*lines, seed=0):
 def told(*tones):
     made = tuple(Tone(hertz, 0.005, "tone", {"A": (size, 0.01)}, "no damping") for hertz, size in tones)
     return replace(fit(), tones=made, frequency_hz=np.arange(1.0, 400.0, 0.5))
-
-
-STRONG = (150.03, 3.0)
-BESIDE = [
-    *(((STRONG, (hertz, 1.6)), (STRONG,), 1) for hertz in (149.41, 149.58, 150.76)),  # its flanks
-    *(((STRONG, (hertz, 0.8)), (STRONG, (hertz, 0.8)), 2) for hertz in (149.4, 150.8)),  # lines of a recording
-    (((50.01, 1.0),), ((50.01, 1.0),), 1),
-    (((95.3, 0.5),), ((150.0, 1.0),), 1),  # what the longest recording does not have
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("tones", "lines", "count"), BESIDE)
-def test_the_flank_of_a_strong_tone_is_none_and_other_tones_stay_as_they_are(tones, lines, count):
-    modal = told(*tones)
-    for held in (recorded(*lines), [])[: 3 - count]:
-        made = with_tones_parted(modal, held).tones
-        assert {tone.frequency_hz for tone in made} == {hertz for hertz, _ in tones[:count]}
-    assert len(tones) == 2 or with_tones_parted(modal, recorded(*lines)).tones == modal.tones
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
-def test_the_interval_of_a_tone_that_is_two_lines_holds_both(seed):
-    rng = np.random.default_rng(seed)
-    first, apart = float(rng.uniform(45.0, 55.0)), float(rng.uniform(0.1, 0.3))
-    size = float(rng.uniform(0.3, 1.0))
-    between = (first + size * (first + apart)) / (1.0 + size)
-    (tone,) = with_tones_parted(told((between, 1.3)), recorded((first, 1.0), (first + apart, size), seed=seed)).tones
-    low, high = (between + side * Z95 * tone.frequency_error_hz for side in (-1, 1))
-    assert low <= first and first + apart <= high and "more than one line" in tone.evidence
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(6))
-def test_a_tone_that_is_lines_too_close_to_part_has_intervals_that_hold_them(seed):
-    """Three lines within two cycles of a recording: no number of them can be told, and none is."""
-    rng = np.random.default_rng([seed, 8])
-    first, size = float(rng.uniform(62.0, 70.0)), np.exp(rng.uniform(np.log(0.5), 0.0, 3))
-    places = first + np.array([0.0, *np.cumsum(rng.uniform(0.035, 0.05, 2))])
-    middle = float(np.average(places, weights=size))
-    held = recorded(*zip(places.tolist(), size.tolist(), strict=True), seed=seed)
-    (tone,) = with_tones_parted(told((middle, float(size.sum()))), held).tones
-    low, high = (middle + side * Z95 * tone.frequency_error_hz for side in (-1, 1))
-    amplitude, error = tone.amplitude["A"]
-    parted = "more than one line" in tone.evidence
-    assert low <= places[0] and places[-1] <= high
-    assert parted or (UNPARTED in tone.evidence and amplitude - Z95 * error <= size.min())
 
 
 @pytest.mark.slow

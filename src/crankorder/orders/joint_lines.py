@@ -285,8 +285,7 @@ class JointLines:
 
     Both in the unit of the band's data. ``own`` (lines, channels) is the variance of a phasor in noise of power 1 in
     each sample, ``free`` (lines,) which numbers were solved for, ``moved`` (samples, free, channels) how the data
-    change with these beyond what the phasors take up, and ``follows`` (lines, free, channels) what they take up. Where
-    the neighbourhood is ``crowded`` other lines may be left, and the noise is the median of the places beside.
+    change with these beyond what the phasors take up, and ``follows`` (lines, free, channels) what they take up.
     """
 
     band: Band
@@ -297,7 +296,6 @@ class JointLines:
     free: Bools
     moved: Complexes
     follows: Complexes
-    crowded: bool
 
     @cached_property
     def orders(self) -> Floats:
@@ -330,8 +328,9 @@ class JointLines:
             return self.white, max(2.0 * (len(self.left) - len(self.places)) - float(self.free.sum()), 1.0)
         shapes = band.waves(clear)
         power = np.square(np.abs(shapes.conj().T @ self.left)) / np.square(np.abs(shapes)).sum(axis=0)[:, None]
-        mean = np.median(power, axis=0) / np.log(2.0) if self.crowded else power.mean(axis=0)
-        return np.maximum(mean, np.square(LEAST_NOISE * np.abs(band.data)).mean(axis=0) + 1e-300), 2.0 * len(clear)
+        return np.maximum(
+            power.mean(axis=0), np.square(LEAST_NOISE * np.abs(band.data)).mean(axis=0) + 1e-300
+        ), 2.0 * len(clear)
 
     @cached_property
     def number_covariance(self) -> Floats:
@@ -392,7 +391,6 @@ def joint_lines(
     *,
     free: bool | Sequence[bool] = False,
     power: Floats | None = None,
-    crowded: bool = False,
     settled: bool = True,
 ) -> JointLines:
     """The lines at ``places`` of a ``band`` that leave least of it, all of them together.
@@ -405,18 +403,17 @@ def joint_lines(
     free : which numbers are solved for, all or none where one word is said
     power : (lines, channels), mean squared amplitude that is known of each line, infinite where nothing is; a line of
         known power and unknown phase takes no more of the data than that
-    crowded : whether more lines than these may stand there, so that the noise is the median of the places beside
     settled : whether free numbers are moved to where least is left; else it is only told what the data say of them
     """
     places, span = tuple(places), band.held.span_rev
     is_free = np.full(len(places), free) if isinstance(free, bool) else np.asarray(free, dtype=np.bool_)
-    lines = _solved(band, places, is_free, power, crowded)
+    lines = _solved(band, places, is_free, power)
     for _ in range(STEPS if settled and is_free.any() else 0):
         moves = lines.step()
         if np.abs(moves).max() * span < SETTLED:
             break
         moves = np.clip(moves, -LONGEST_STEP / span, LONGEST_STEP / span)
-        lines = _solved(band, _moved(band.held, lines.places, is_free, moves), is_free, power, crowded)
+        lines = _solved(band, _moved(band.held, lines.places, is_free, moves), is_free, power)
     return lines
 
 
@@ -430,7 +427,7 @@ def _moved(held: HeldFrames, places: tuple[Place, ...], free: Bools, orders: Flo
     )
 
 
-def _solved(band: Band, places: tuple[Place, ...], free: Bools, power: Floats | None, crowded: bool) -> JointLines:
+def _solved(band: Band, places: tuple[Place, ...], free: Bools, power: Floats | None) -> JointLines:
     """Lines at ``places``, as they are, by linear least squares."""
     waves, data, span = band.waves(places), band.data, band.held.span_rev
     gram, score = waves.conj().T @ waves, waves.conj().T @ data
@@ -445,7 +442,7 @@ def _solved(band: Band, places: tuple[Place, ...], free: Bools, power: Floats | 
     taken = inverse @ (waves.conj().T @ slopes)
     moved = np.moveaxis(slopes - waves @ taken, 0, 2) * phasor[at]
     follows = -np.moveaxis(taken, 0, 2) * phasor[at]
-    return JointLines(band, places, phasor, data - waves @ phasor, own, free, moved, follows, crowded)
+    return JointLines(band, places, phasor, data - waves @ phasor, own, free, moved, follows)
 
 
 def _of_known_power(gram: Complexes, score: Complexes, data: Complexes, power: Floats) -> Complexes:
