@@ -200,10 +200,11 @@ def student_factor(dof: Floats) -> Floats:
 
 
 def _expected(kept: Ints, count: Ints) -> Floats:
-    """Mean of exponential powers over the mean of the ``kept`` lowest of ``count`` of them."""
-    share = np.minimum(kept / np.maximum(count, 1), 1.0 - 1e-9)
-    left = 1.0 - share
-    return np.asarray(share / (1.0 - left * (1.0 - np.log(left))))
+    """Mean of exponential powers over the mean of the ``kept`` lowest of ``count`` of them (Rényi 1953)."""
+    from scipy.special import digamma
+
+    left = np.maximum(count - kept, 0)
+    return np.asarray(1.0 / (1.0 - left / kept * (digamma(np.maximum(count, 1) + 1) - digamma(left + 1))))
 
 
 @dataclass(frozen=True)
