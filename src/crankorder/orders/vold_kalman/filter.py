@@ -82,7 +82,6 @@ def vold_kalman(
     n_samples = signals.shape[1]
     width = np.maximum(bandwidth_hz, NARROWEST * rate_hz / n_samples)
     spacing = np.maximum(rate_hz / (knots_per_bandwidth * width.max(axis=0)), LEAST_SPACING)
-    typical = np.median(bandwidth_hz, axis=1) / rate_hz
     starts = place_knots(spacing, n_samples)
     points = np.linspace(-0.5, n_samples - 0.5, width.shape[1])
     width = np.array([np.interp(middles(starts), points, of_order) for of_order in width]) / rate_hz
@@ -110,7 +109,7 @@ def vold_kalman(
                 "or fewer orders",
             )
         amplitude[chosen] = system.amplitude_at(values, place) / scale
-        errors = standard_errors(*system.residual_sums(values, offset), variance, typical, phase_rev, starts) / scale
+        errors = standard_errors(*system.residual_sums(values, offset), variance, width, phase_rev, starts) / scale
         error[chosen] = [[np.interp(place, middles(starts), row) for row in of_channel] for of_channel in errors]
     return amplitude, error
 
@@ -122,7 +121,7 @@ def standard_errors(
 
     The noise is that of the local residual spectrum beside each order, from ``sums`` (channels, orders, splines) of the
     residual and their ``weight``; what the filter lets through of it is the ``variance`` (orders, intervals) of the
-    solution. ``width`` (orders,) is the bandwidth per sample rate, ``phase_rev`` (orders, samples) and
+    solution. ``width`` (orders, intervals) is the bandwidth per sample rate, ``phase_rev`` (orders, samples) and
     ``starts`` are those of the equations.
     """
     place = np.arange(variance.shape[1]) + 0.5 * DEGREE
@@ -131,7 +130,7 @@ def standard_errors(
     turns = np.pad(turns, ((0, 0), (DEGREE - DEGREE // 2, DEGREE // 2)), mode="edge")
     errors = np.empty((len(sums), *variance.shape))
     for k, spread in enumerate(variance):
-        per_bandwidth = variance.shape[1] / phase_rev.shape[1] / width[k]
+        per_bandwidth = float(np.median(1.0 / (np.diff(starts) * width[k])))
         others = np.delete(turns - turns[k], k, axis=0)
         at, level = local_level(sums[:, k], weight[k], others, sums_per_bandwidth=per_bandwidth)
         errors[:, k] = [np.sqrt(np.interp(place, at, row) * spread) for row in level]
