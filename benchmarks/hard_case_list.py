@@ -9,9 +9,8 @@ import xarray as xr
 from crankorder.fft.decimation import band_limited
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
-from crankorder.orders.vold_kalman.filter import vold_kalman
 from crankorder.settings import load_settings
-from made.recordings import line, sampled, shaft, steady, total
+from made.recordings import envelopes, line, sampled, shaft, steady, total
 
 SETTINGS = load_settings().orders
 
@@ -45,8 +44,8 @@ def close_orders() -> HardCase:
     orders, amplitudes = np.array([5.48, 5.5]), np.array([0.3 * np.exp(1j), 1.0 * np.exp(-0.5j)])
     signal = sum((a * np.exp(2j * np.pi * o * angle)).real for o, a in zip(orders, amplitudes, strict=True))
     noise = np.random.default_rng(5).normal(0.0, 0.2, len(angle))
-    tracks = vold_kalman(np.stack([signal, signal + noise]), orders[:, None] * angle, rate_hz=rate, bandwidth_hz=0.1)
-    found, noisy = tracks.amplitude
+    both, phases = np.stack([signal, signal + noise]), orders[:, None] * angle
+    found, noisy = envelopes(both, phases, rate_hz=rate, bandwidth_hz=0.1)[0]
     axis = np.linspace(5.4, 5.6, 801)
     window = np.hanning(len(angle)) * 2.0 / np.hanning(len(angle)).sum()
     spectrum = np.abs(np.exp(-2j * np.pi * np.outer(axis, angle)) @ (window * (signal + noise)))
@@ -69,8 +68,7 @@ def crossing_shafts() -> HardCase:
     phases = np.stack([25.0 * time, 25.0 * time + 25.0 * 0.005 * (time / length - 1.0) * time])
     amplitudes = np.stack([1.0 + 0.2 * time / length, np.full(len(time), 0.5)])
     signal = (amplitudes * np.cos(2.0 * np.pi * phases)).sum(axis=0)
-    tracks = vold_kalman(signal[None], phases, rate_hz=rate, bandwidth_hz=0.05)
-    found = np.abs(tracks.amplitude[0])
+    found = np.abs(envelopes(signal[None], phases, rate_hz=rate, bandwidth_hz=0.05)[0][0])
     inner = slice(int(2 * rate), int((length - 2) * rate))
     return HardCase(
         asked="two shafts 0.5 % apart that meet and part: both amplitudes",
@@ -310,8 +308,8 @@ def heavy_smoothing() -> HardCase:
     shares = np.array([5e2, 5e3, 5e4, 5e5, 2e6])
     errors = []
     for share in shares:
-        tracks = vold_kalman(signal[None], phase[None], rate_hz=rate, bandwidth_hz=rate / share)
-        errors.append(float(np.abs(tracks.amplitude[0, 0] - np.exp(0.3j)).max()))
+        amplitude, _ = envelopes(signal[None], phase[None], rate_hz=rate, bandwidth_hz=rate / share)
+        errors.append(float(np.abs(amplitude[0, 0] - np.exp(0.3j)).max()))
     return HardCase(
         asked="Vold–Kalman from rate/500 to rate/2,000,000 (r² 1e9…1e23): largest error",
         error=max(errors), x_label="sample rate over bandwidth", y_label="error of the amplitude",

@@ -88,7 +88,7 @@ def _followed(order, revs, bandwidth_hz):
     return xr.Dataset(
         {"held_amplitude": (rows, one.astype(complex)), "standard_error": (rows, NOISE * one)},
         {"channel": ["X"], "order": [order], **frames, "bandwidth_hz": (rows[1:], bandwidth_hz * one[0])},
-        {"recording": "r1", "swept": 1, "poles": 2, "phase_reference": "index"},
+        {"recording": "r1", "swept": 1, "phase_reference": "index"},
     )
 
 

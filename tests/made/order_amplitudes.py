@@ -9,7 +9,7 @@ import xarray as xr
 from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
 from crankorder.engine.forces import crankcase_forces, crankcase_moments
 from crankorder.identify.found import ModalFit, Mode
-from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
+from crankorder.orders.vold_kalman.bandwidth import NOISE_BANDWIDTH
 from made.recordings import named
 
 AXES = ("X", "Z", "RY")
@@ -108,7 +108,7 @@ def swept(item: MadeOrders, rng, *, residual_kg, rpm=(300.0, 2000.0)) -> xr.Data
     angle, orders = np.cumsum(speed) * 0.08 / 60.0, range(1, 5)
     shafts = item.engine.shafts.model_copy(update={"unbalanced_mass_kg": residual_kg})
     force = crankcase_forces(item.engine.model_copy(update={"shafts": shafts}), 30.0 / np.pi, max_order=4)[2]
-    omega, spread = speed * np.pi / 30.0, np.sqrt(noise_bandwidth_share(2) * width[0] / MAP_HZ)
+    omega, spread = speed * np.pi / 30.0, np.sqrt(NOISE_BANDWIDTH * width[0] / MAP_HZ)
     amplitude = np.zeros((len(path.rigid), 4, time.size), dtype=complex)
     for k in orders:
         noise = spread * rng.normal(size=(5, time.size, 2)) @ [1.0, 1.0j]
@@ -122,7 +122,7 @@ def swept(item: MadeOrders, rng, *, residual_kg, rpm=(300.0, 2000.0)) -> xr.Data
     tracks["bandwidth_hz"] = rows[1:], np.tile(width, (4, 1))
     named_rows = {name: ("frame", of) for name, of in (("time", time), ("speed", speed), ("crank_angle", angle))}
     coords = {**named("XYZ"[: len(amplitude)]), "order": [float(k) for k in orders], **named_rows}
-    return xr.Dataset(tracks, coords, {"swept": 1, "poles": 2, "recording": "run-up"})
+    return xr.Dataset(tracks, coords, {"swept": 1, "recording": "run-up"})
 
 
 def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> xr.Dataset:

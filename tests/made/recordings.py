@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.ingest.manifest import Manifest, load_manifest
+from crankorder.orders.vold_kalman.filter import vold_kalman
 from crankorder.quantities import check_dataset
 from crankorder.synth.write import toml_text
 
@@ -150,3 +151,14 @@ def frames_of(
     )  # fmt: skip
     check_dataset(made, "order_frames")
     return made
+
+
+def envelopes(
+    signals: object, phase_rev: object, *, rate_hz: float, bandwidth_hz: float | np.ndarray, usable: object = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Complex amplitudes and standard errors (channels, orders, samples) of the Vold-Kalman filter at all samples."""
+    values, phase = np.asarray(signals), np.asarray(phase_rev)
+    width = np.broadcast_to(bandwidth_hz, (len(phase), max(2, np.size(bandwidth_hz))))
+    settings = {"usable": np.broadcast_to(usable, values.shape), "rate_hz": rate_hz, "bandwidth_hz": width}
+    names = [f"component {k}" for k in range(len(phase))]
+    return vold_kalman(values, phase, np.arange(values.shape[1]), names=names, **settings)

@@ -236,11 +236,11 @@ def test_what_a_narrow_filter_takes_of_a_peak_is_told_by_what_it_takes_once_more
     lag = np.linspace(-12.0, 12.0, 4801)  # reciprocal bandwidths
     step = lag[1] - lag[0]
     passed = 1.0 / (1.0 + 1j * np.pi * width * lag)  # its spectrum falls by e in so many half bandwidths
-    kernel = impulse_response(lag, 2)
+    kernel = impulse_response(lag)
     once = np.convolve(passed, kernel, mode="same") * step
     twice = np.convolve(once, kernel, mode="same") * step
     middle = len(lag) // 2
     share = abs(once[middle] - twice[middle]) / abs(once[middle])
     taken = 1.0 - abs(once[middle])
-    told = taken_in_truth(np.array(share), np.array(10.0), 2) * share * abs(once[middle])
+    told = taken_in_truth(np.array(share), np.array(10.0)) * share * abs(once[middle])
     assert told == pytest.approx(taken, rel=0.12)

@@ -22,12 +22,13 @@ from crankorder.orders.vold_kalman.bandwidth import (
     HALF_POWER,
     LEVEL_DOF,
     LOWER,
+    POLES,
     WIDEST,
     impulse_response,
     student_factor,
     taken_in_truth,
 )
-from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
+from crankorder.orders.vold_kalman.filter import vold_kalman
 from crankorder.quantities import (
     Bools,
     Complexes,
@@ -45,9 +46,6 @@ from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, smoothed_spe
 
 SAME_ORDER = 1e-9
 """Orders closer than this are one."""
-
-POLES = 2
-"""Of the filter: 24 dB per octave beyond the band."""
 
 RESOLVED_DAMPING = 0.01
 """Damping ratio of a mode that a sweep passes whose peak the filter lowers by 1 %."""
@@ -71,6 +69,9 @@ FEWEST_OF_PIECE = 16
 
 KNOTS = 8
 """Knots of the envelopes in a reciprocal bandwidth: right to 1e-5."""
+
+FEWEST_SAMPLES = 64
+"""Usable samples of a channel below which nothing is followed in it."""
 
 MOST_VALUES = 1 << 20
 """Samples, times orders and channels, that are followed at a time: the memory does not grow with the recording."""
@@ -331,14 +332,10 @@ def _followed(band: xr.Dataset, shaft: xr.Dataset, plan: _Plan) -> tuple[Complex
         low, high = max(plan.span_s[0], near[0]), min(plan.span_s[1], near[1])
         last = band["signal"].shape[1]
         piece = slice(max(0, int(np.ceil((low - start) * rate))), min(last, int((high - start) * rate) + 1))
-        tracks_of_piece = _piece(band, shaft, plan, piece, carried)
-        if tracks_of_piece is None:
-            continue
-        tracks, channels = tracks_of_piece
-        place = np.round((plan.rows_s[rows] - start) * rate).astype(int) - piece.start
-        place = np.clip(place, 0, tracks.amplitude.shape[2] - 1)
-        at = np.ix_(channels, carried, rows)
-        amplitude[at], error[at] = tracks.amplitude[..., place], tracks.error_at(place)
+        channels, *tracks = _piece(band, shaft, plan, piece, carried, plan.rows_s[rows])
+        if len(channels):
+            at = np.ix_(channels, carried, rows)
+            amplitude[at], error[at] = tracks
     hidden = np.broadcast_to(~_usable_rows(band, plan)[:, None], shape)
     amplitude[hidden], error[hidden] = np.nan, np.nan
     return amplitude, error
@@ -357,7 +354,7 @@ def _smoothing(amplitude: Complexes, plan: _Plan) -> Complexes:
     for lag in range(-reach, reach + 1):
         here = slice(max(0, -lag), amplitude.shape[2] - max(0, lag))
         there = slice(max(0, lag), amplitude.shape[2] - max(0, -lag))
-        gain = impulse_response(place[:, there] - place[:, here], POLES) * step[:, there]
+        gain = impulse_response(place[:, there] - place[:, here]) * step[:, there]
         total[..., here] += gain * filled[..., there]
         weight[..., here] += gain * held[..., there]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -387,7 +384,7 @@ def _left_taken(amplitude: Complexes, taken: Complexes, error: Floats, plan: _Pl
     for place, rows in enumerate(np.median(width.max(axis=0) / width, axis=1).tolist()):
         near = 2 * int(np.ceil(REACH * rows)) + 1
         largest, most = (maximum_filter1d(one[:, place], near, axis=1) for one in (size, lost))
-        times = taken_in_truth(most / np.maximum(largest, 1e-300), widest[place], POLES)
+        times = taken_in_truth(most / np.maximum(largest, 1e-300), widest[place])
         made[:, place] = np.maximum((times - 1.0) / Z95 * most - np.abs(np.nan_to_num(taken[:, place])), 0.0)
     apart = np.abs(plan.orders[:, None] - plan.orders)[:, :, None] * speed / 60.0
     shared = np.maximum(1.0 - apart / np.maximum(widest * width, 1e-300)[None], 0.0)
@@ -396,31 +393,34 @@ def _left_taken(amplitude: Complexes, taken: Complexes, error: Floats, plan: _Pl
 
 
 def _piece(
-    band: xr.Dataset, shaft: xr.Dataset, plan: _Plan, piece: slice, carried: Ints
-) -> tuple[VoldKalmanTracks, Ints] | None:
-    """Tracks of the orders ``carried`` in the samples ``piece``, and of which channels; None where too few count."""
+    band: xr.Dataset, shaft: xr.Dataset, plan: _Plan, piece: slice, carried: Ints, rows_s: Floats
+) -> tuple[Ints, Complexes, Floats]:
+    """Channels whose samples ``piece`` suffice, amplitudes and errors (channels, orders, rows) of orders ``carried``.
+
+    ``rows_s`` [s] are the times of the rows.
+    """
     rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
     time_s = start + np.arange(piece.start, piece.stop) / rate
     angle = angle_at(time_s, **knots_of(shaft))
     signals = band["signal"].values[:, piece]
     usable = sound_samples(band)[:, piece] & np.isfinite(angle)
     channels = np.flatnonzero(usable.sum(axis=1) >= FEWEST_SAMPLES)
-    if not len(channels) or signals.shape[1] < FEWEST_SAMPLES:
-        return None
+    if not len(channels):
+        return channels, np.empty(0, dtype=np.complex128), np.empty(0)
     known = np.isfinite(angle)
-    angle = angle if known.all() else np.interp(time_s, time_s[known], angle[known])
+    angle = np.interp(time_s, time_s[known], angle[known])
     points = np.linspace(time_s[0], time_s[-1], max(2, len(time_s) // 64))
     tracks = vold_kalman(
         signals[channels],
         plan.orders[carried, None] * angle,
+        np.clip(np.round((rows_s - time_s[0]) * rate).astype(int), 0, len(time_s) - 1),
+        usable=usable[channels],
         rate_hz=rate,
         bandwidth_hz=plan.widths(points)[carried],
-        poles=POLES,
-        usable=usable[channels],
         names=[f"order {order:g}" for order in plan.orders[carried]],
         knots_per_bandwidth=KNOTS,
     )
-    return tracks, channels
+    return channels, *tracks
 
 
 def _usable_rows(band: xr.Dataset, plan: _Plan) -> Bools:
@@ -472,7 +472,7 @@ def _dataset(
     ):
         tracks[name] = described(("channel", "order", "frame"), values, "see unit", text)
     usual_rate = float(np.median(course.rate_rpm_per_s[course.runs])) if course.runs.any() else 0.0
-    tracks.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": usual_rate}
+    tracks.attrs |= {"swept": 1, "sweep_rpm_per_s": usual_rate}
     angle_error = shaft["standard_error"].values
     angle_error = angle_error[np.isfinite(angle_error)]
     tracks.attrs["crank_angle_error_rev"] = float(np.median(angle_error)) if len(angle_error) else 0.0

@@ -29,7 +29,7 @@ from crankorder.orders.joint_lines import HeldFrames, hann_lobe
 from crankorder.orders.like_speed import common_frames
 from crankorder.orders.swept_tracks import followed_error
 from crankorder.orders.true_angle import GIVEN, AngleErrors
-from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
+from crankorder.orders.vold_kalman.bandwidth import NOISE_BANDWIDTH
 from crankorder.quantities import Bools, Complexes, Floats, Ints, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
@@ -148,7 +148,7 @@ class TrackReader:
             share = np.ones(len(time))
             if place >= 0 and len(time) > 1:
                 width = item["bandwidth_hz"].values[place]
-                share = noise_bandwidth_share(int(item.attrs["poles"])) * width * np.abs(np.gradient(time))
+                share = NOISE_BANDWIDTH * width * np.abs(np.gradient(time))
             parts.append(np.minimum(share, 1.0))
         return np.concatenate(parts)
 

@@ -12,7 +12,7 @@ import xarray as xr
 from crankorder.engine.machine_parts import StatedPath
 from crankorder.identify.modes.order_blocks import swept_rows
 from crankorder.identify.modes.order_terms import resonance
-from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
+from crankorder.orders.vold_kalman.bandwidth import NOISE_BANDWIDTH
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import STANDARD_GRAVITY_M_S2, MethodNumbers
 
@@ -146,10 +146,7 @@ def _swept(held: MeasuredOrders, place: int, tracks: xr.Dataset, scale: Floats, 
     beside it while it passes a resonance is less than the noise under it, and more soon after. Few bins tell nothing.
     """
     amplitude = scale * tracks["held_amplitude"].reindex(channel=list(held.channels)).values
-    rpm, band_hz = (
-        tracks["speed"].values,
-        noise_bandwidth_share(int(tracks.attrs["poles"])) * tracks["bandwidth_hz"].values,
-    )
+    rpm, band_hz = tracks["speed"].values, NOISE_BANDWIDTH * tracks["bandwidth_hz"].values
     low, high = np.searchsorted(noise[0], held.orders[place] * rpm / 60.0 + band_hz * np.array([[-0.5], [0.5]]))
     summed = np.cumsum(np.einsum("nc,nd->ncd", noise[1], noise[1].conj()), axis=0)
     summed = np.concatenate([np.zeros_like(summed[:1]), summed])

@@ -14,7 +14,7 @@ from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple, pr
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block, Rows
 from crankorder.orders.intervals import WHOLE, one_phase_reference, phases_compare
-from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
+from crankorder.orders.vold_kalman.bandwidth import NOISE_BANDWIDTH
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
@@ -148,7 +148,7 @@ def swept_rows(order: float, tracks: xr.Dataset) -> xr.Dataset | None:
     amplitude, error = tracks["held_amplitude"].values[:, row], tracks["standard_error"].values[:, row]
     known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)
     # hardly any row shares its noise with the one before: one in a reciprocal bandwidth
-    passed = np.cumsum(noise_bandwidth_share(int(tracks.attrs["poles"])) * bandwidth * np.gradient(time))
+    passed = np.cumsum(NOISE_BANDWIDTH * bandwidth * np.gradient(time))
     rows = known.any(axis=0) & (np.diff(np.floor(passed), prepend=-1.0) > 0.0)
     if np.count_nonzero(rows) < 2 * ORDER_RESPONSES.spare_amplitudes:
         return None

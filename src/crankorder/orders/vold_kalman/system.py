@@ -1,386 +1,201 @@
-"""Envelopes of orders as splines: the Vold-Kalman equations of one record, solved and read at each sample."""
+"""Envelopes of orders as splines: the Vold-Kalman equations of one record, solved."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.blas import dsbmv
 
-from crankorder.orders.vold_kalman.banded import add_moments, evaluate, factorise, inverse_band, product, solve
-from crankorder.orders.vold_kalman.bandwidth import (
-    DEGREE,
-    FEWEST_INTERVALS,
-    difference_slopes,
-    local_differences,
-    place_knots,
-    roughness,
-    spline_pieces,
-    structural_weight,
-)
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.orders.vold_kalman.banded import inverse_band, normal_equations
+from crankorder.orders.vold_kalman.bandwidth import POLES
+from crankorder.quantities import Bools, Complexes, Floats, Ints
+
+DEGREE = 5
+"""Of the envelopes between knots: two poles leave two smooth derivatives, and two more."""
 
 SPLINES = DEGREE + 1
-"""Splines in an interval, and powers of u of each: a constant, so that the loops are unrolled."""
+"""Splines that are not zero in an interval."""
 
+FEWEST_INTERVALS = 16
+"""However narrow the band: the envelope may still bend in a record that is shorter than the filter's response."""
 
-KNOTS_PER_BANDWIDTH = (64, 16, 16, 16)
-"""Knots in the time 1/bandwidth, by poles. Envelopes inside the band are right to 1e-9; what lies further from the
-order than 8 bandwidths (which the exact filter lets through 3e-5 of, with two poles) is rejected altogether. The gain
-of one pole falls so slowly that more of what lies there belongs to the exact solution."""
-
-REFINEMENTS = 3
-"""Most steps of iterative refinement; one is enough unless orders are close."""
-
-ENOUGH = 1e-10
-"""Relative size of a step of refinement after which the next one would be below rounding."""
-
-LEAST_SPACING = 2.0
-"""Samples between knots at least, however wide the band: below, the equations are no longer definite."""
+PASSES = 3
+"""Solutions of the equations, each of what the one before it has left: two are enough unless orders are close."""
 
 LEAST_CONSTANT = 1e-6
 """Share of a constant that the orders must leave unexplained for it to be told from them."""
 
 
-def spline_products(pieces: Floats) -> Floats:
-    """Products of two splines in powers of u, (runs, powers, pairs): pairs (a, b) with b up to a, in rows of a.
+def place_knots(spacing: Floats, n_samples: int) -> Ints:
+    """First samples (intervals + 1,) of intervals whose length follows ``spacing`` [samples] (points,), and the end.
 
-    ``pieces`` (runs, splines, powers) are the splines.
+    The points are even across the ``n_samples`` of the record. Knots stand half a sample before these.
     """
-    a, b = np.tril_indices(SPLINES)
-    found = np.zeros((len(pieces), 2 * SPLINES - 1, len(a)))
-    for q in range(SPLINES):
-        for r in range(SPLINES):
-            found[:, q + r] += pieces[:, a, q] * pieces[:, b, r]
-    return found
+    rate = 1.0 / spacing
+    count = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))])
+    total = float(count[-1]) * n_samples / (len(rate) - 1)
+    intervals = min(max(round(total), FEWEST_INTERVALS), n_samples)
+    place = np.interp(np.arange(intervals + 1) / intervals, count / count[-1], np.linspace(0.0, n_samples, len(count)))
+    return np.unique(np.round(place).astype(np.int64))
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def assemble_gram(gram, products, kind, band):  # type: ignore[no-untyped-def]
-    """Add to ``band`` the data's weight ``gram`` (intervals, pairs of rows, powers) on ``products`` [``kind``]."""
-    n_rows, width = band.shape[1] // SPLINES, band.shape[1] - 1
-    local = np.empty(products.shape[2])
-    for i in range(gram.shape[0]):
-        pair = 0
-        for row in range(n_rows):
-            for other in range(row + 1):
-                local[:] = 0.0
-                for m in range(2 * SPLINES - 1):
-                    moment, line = gram[i, pair, m], products[kind[i], m]
-                    for ab in range(local.shape[0]):
-                        local[ab] += moment * line[ab]
-                pair += 1
-                ab = 0
-                for a in range(SPLINES):
-                    for b in range(a + 1):
-                        back = (a - b) * n_rows
-                        band[(i + a) * n_rows + row, width - back - row + other] += local[ab]
-                        if a > b and row != other:
-                            band[(i + a) * n_rows + other, width - back + row - other] += local[ab]
-                        ab += 1
+def middles(starts: Ints) -> Floats:
+    """Middle [samples] of each interval of ``starts``, as of ``place_knots``."""
+    return np.asarray(0.5 * (starts[1:] + starts[:-1] - 1.0))
 
 
-@njit(cache=True, nogil=True)
-def assemble_roughness(stiffness, kind, weight, band):  # type: ignore[no-untyped-def]
-    """Add to ``band`` the forms ``stiffness`` [``kind``] (splines, splines) times ``weight`` (intervals, orders)."""
-    n_orders = weight.shape[1]
-    n_rows, width = 2 * n_orders, band.shape[1] - 1
-    for i in range(kind.shape[0]):
-        local = stiffness[kind[i]]
-        for a in range(SPLINES):
-            for b in range(a + 1):
-                for row in range(n_rows):
-                    band[(i + a) * n_rows + row, width - (a - b) * n_rows] += local[a, b] * weight[i, row % n_orders]
+def _knots(starts: Ints, degree: int) -> Floats:
+    """Knots [samples] with the ends repeated, so that the first and last spline of ``degree`` are one at the ends."""
+    return np.pad(starts - 0.5, degree, mode="edge")
 
 
-@njit(cache=True, nogil=True)
-def apply_roughness(forms, kind, weight, slopes, values, result):  # type: ignore[no-untyped-def]
-    """Add to ``result`` (columns, splines, rows) the structural equation applied to ``values`` of the same shape.
+def splines_at(starts: Ints, place: Floats | Ints, *, degree: int = DEGREE, derivative: int = 0) -> Floats:
+    """Values (places, degree + 1) of the splines that are not zero at each ``place`` (places,) [samples].
 
-    ``slopes`` (poles, splines) turn differences of coefficients into those of the derivative; in turn, so that those of
-    a constant vanish exactly. ``forms`` [``kind``] act on them, times ``weight`` (intervals, orders).
+    ``starts`` as of ``place_knots``, ``derivative`` of the splines, per sample.
     """
-    poles, n = slopes.shape[0], values.shape[1]
-    near = forms.shape[1]
-    for column in range(values.shape[0]):
-        for row in range(values.shape[2]):
-            steep = values[column, :, row].copy()
-            for k in range(poles):
-                for j in range(n - 1 - k):
-                    steep[j] = (steep[j + 1] - steep[j]) * slopes[k, j]
-            rough = np.zeros(n)
-            for i in range(kind.shape[0]):
-                local, r2 = forms[kind[i]], weight[i, row % weight.shape[1]]
-                for a in range(near):
-                    total = 0.0
-                    for b in range(near):
-                        total += local[a, b] * steep[i + b]
-                    rough[i + a] += r2 * total
-            for k in range(poles - 1, -1, -1):
-                above = 0.0
-                for j in range(n - 1 - k):
-                    scaled = rough[j] * slopes[k, j]
-                    rough[j] = above - scaled
-                    above = scaled
-                rough[n - 1 - k] = above
-            for j in range(n):
-                result[column, j, row] += rough[j]
+    from scipy.interpolate import BSpline  # with much that maps alone need not wait for
+
+    # neighbours share no column: each of these is one spline at any place
+    column = np.arange(len(starts) + degree - 1) % (degree + 1)
+    values = BSpline(_knots(starts, degree), np.eye(degree + 1)[column], degree)(place, derivative)
+    return np.take_along_axis(values, column[_near(starts, place, degree)], axis=1)
 
 
-@njit(cache=True, nogil=True)
-def gather(data, pieces, kind, values):  # type: ignore[no-untyped-def]
-    """Add to ``values`` (channels, splines, rows) the moments ``data`` (intervals, channels, rows, powers).
+def _near(starts: Ints, place: Floats | Ints, degree: int = DEGREE) -> Ints:
+    """Numbers (places, degree + 1) of the splines that are not zero at each ``place`` (places,) [samples]."""
+    return np.searchsorted(starts - 0.5, place, side="right")[:, None] - 1 + np.arange(degree + 1)
 
-    ``pieces`` [``kind``] are the splines of each interval.
+
+def _pieces(starts: Ints) -> Floats:
+    """Powers of u in (-1, 1) (intervals, splines, powers) of the splines in each interval of ``starts``."""
+    node = np.cos(np.pi / SPLINES * (np.arange(SPLINES) + 0.5))
+    place = middles(starts)[:, None] + 0.5 * np.diff(starts)[:, None] * node
+    values = splines_at(starts, place.ravel()).reshape(-1, SPLINES, SPLINES)
+    return np.ascontiguousarray(np.linalg.solve(np.vander(node, increasing=True), values).swapaxes(1, 2))
+
+
+def roughness(starts: Ints, degree: int, derivative: int) -> Floats:
+    """Quadratic forms (intervals, splines, splines) of the structural equation: of a ``derivative`` of the splines.
+
+    ``starts`` as of ``place_knots``; splines of ``degree``. The sum of the squared difference becomes the integral of
+    the squared derivative, less POLES/12 times that of the next one (what makes a difference over one sample smaller
+    than the derivative), over all places where the difference fits into the record. In the first and last interval,
+    which it does not fill, the integral could become negative and is left as it is.
     """
-    for i in range(data.shape[0]):
-        piece = pieces[kind[i]]
-        for c in range(data.shape[1]):
-            for a in range(SPLINES):
-                for row in range(data.shape[2]):
-                    total = 0.0
-                    for q in range(SPLINES):
-                        total += piece[a, q] * data[i, c, row, q]
-                    values[c, i + a, row] += total
-
-
-@njit(cache=True, nogil=True)
-def scatter(values, pieces, kind, found):  # type: ignore[no-untyped-def]
-    """Fill ``found`` (intervals, channels, rows, powers) with the envelopes in u of coefficients ``values``.
-
-    ``pieces`` [``kind``] are the splines of each interval.
-    """
-    for i in range(found.shape[0]):
-        piece = pieces[kind[i]]
-        for c in range(found.shape[1]):
-            for row in range(found.shape[2]):
-                for q in range(SPLINES):
-                    total = 0.0
-                    for a in range(SPLINES):
-                        total += piece[a, q] * values[c, i + a, row]
-                    found[i, c, row, q] = total
-
-
-@njit(cache=True, nogil=True)
-def variance_at_middles(inverse, pieces, kind, n_rows):  # type: ignore[no-untyped-def]
-    """Variance (intervals, rows) of each envelope in the middle of each interval, from the ``inverse`` band.
-
-    ``pieces`` [``kind``] are the splines, ``n_rows`` the number of rows.
-    """
-    width = inverse.shape[1] - 1
-    found = np.zeros((kind.shape[0], n_rows))
-    for i in range(kind.shape[0]):
-        middle = pieces[kind[i], :, 0]
-        for row in range(n_rows):
-            for a in range(middle.shape[0]):
-                at = (i + a) * n_rows + row
-                found[i, row] += middle[a] * middle[a] * inverse[at, width]
-                for b in range(a):
-                    found[i, row] += 2.0 * middle[a] * middle[b] * inverse[at, width - (a - b) * n_rows]
-    return found
-
-
-def integration(slopes: Floats, n_splines: int) -> Floats:
-    """Coefficients (splines, splines) of splines from the first coefficient of each derivative and all of the last.
-
-    ``slopes`` (poles, splines) as of ``difference_slopes``, ``n_splines`` the number of coefficients. In these unknowns
-    the structural equation acts on the last derivative alone, so that no weight, however large, hides the data.
-    """
-    unknown = np.eye(n_splines)
-    found = unknown[len(slopes) :]
-    for k in range(len(slopes) - 1, -1, -1):
-        steps = np.cumsum(found / slopes[k, : len(found), None], axis=0)
-        found = np.concatenate([unknown[k : k + 1], unknown[k] + steps])
-    return found
-
-
-def solve_short(
-    data_band: Floats, forms: Floats, weight: Floats, slopes: Floats, wanted: Floats
-) -> tuple[Floats, Floats]:
-    """Coefficients (columns, splines, rows) and their covariance (n, n) from white data noise of unit variance.
-
-    ``data_band`` (n, width + 1) the data's weight, ``forms`` (intervals, splines, splines) and ``weight`` (intervals,
-    orders) the structural equation on last derivatives, ``slopes`` as of ``difference_slopes``, ``wanted`` (columns,
-    splines, rows) the right-hand sides. Raises LinAlgError where the equations are not definite.
-    """
-    n_splines, rows = wanted.shape[1:]
-    turn = np.kron(integration(slopes, n_splines), np.eye(rows))
-    data = _dense(data_band)
-    matrix = turn.T @ data @ turn
-    poles, near = len(slopes), forms.shape[1]
-    for i in range(len(forms)):
-        for row in range(rows):
-            at = (poles + i + np.arange(near)) * rows + row
-            matrix[np.ix_(at, at)] += weight[i, row % weight.shape[1]] * forms[i]
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    factor = np.linalg.cholesky(matrix * np.outer(scale, scale))
-    inverse = np.linalg.solve(factor, np.diag(scale))
-    sides = turn.T @ wanted.reshape(len(wanted), -1).T
-    found = inverse.T @ (inverse @ sides)
-    found += inverse.T @ (inverse @ (sides - matrix @ found))
-    back = turn @ inverse.T
-    spread = back.T @ data @ back
-    return (turn @ found).T.reshape(wanted.shape), back @ spread @ back.T
-
-
-def _dense(band: Floats) -> Floats:
-    n, width = len(band), band.shape[1] - 1
-    found = np.zeros((n, n))
-    for k in range(min(width, n - 1) + 1):
-        found[np.arange(k, n), np.arange(n - k)] = band[k:, width - k]
-    return found + np.tril(found, -1).T
-
-
-def _scales(signals: NDArray[np.floating], usable: Bools) -> Floats:
-    """Powers of two (channels,) that bring signals near one: squares then neither overflow nor vanish."""
-    whole = bool(usable.all())
-    known = [row if whole else row[usable] for row in signals]
-    largest = np.array([max(float(row.max()), -float(row.min())) for row in known])
-    return np.asarray(np.ldexp(1.0, np.clip(-np.frexp(largest)[1], -1000, 1000)))
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Envelopes of all channels: ``pieces`` (intervals, channels, rows, powers of u), ``offset`` (channels,) the
-    constant part, ``variance`` (intervals, rows) per unit of white noise variance, in the middle of each interval."""
-
-    pieces: Floats
-    offset: Floats
-    variance: Floats
+    intervals, nodes = np.arange(len(starts) - 1), DEGREE - POLES + 1
+    low, high = starts[:-1] - 0.5, starts[1:] - 0.5
+    low[0], high[-1] = min(low[0] + 0.5 * POLES, high[0]), max(high[-1] - 0.5 * POLES, low[-1])
+    node, share = np.polynomial.legendre.leggauss(nodes)
+    place = 0.5 * ((low + high)[:, None] + (high - low)[:, None] * node)
+    part = 0.5 * (high - low)[:, None] * share
+    inner = (intervals > 0) & (intervals < intervals[-1])
+    form = np.zeros((len(intervals), degree + 1, degree + 1))
+    for more, factor in ((0, part), (1, part * inner[:, None] * (-POLES / 12.0))):
+        values = splines_at(starts, place.ravel(), degree=degree, derivative=derivative + more)
+        values = values.reshape(len(intervals), nodes, -1)
+        form += np.einsum("in,ina,inb->iab", factor, values, values)
+    return form
 
 
 class EnvelopeSystem:
-    """Vold-Kalman equations of one record, whose memory grows with bandwidth times length: ``solve``, then ``read``."""
+    """Vold-Kalman equations of one record; an unknown is number (spline · rows + row), rows cosines and sines."""
 
-    def __init__(
-        self,
-        signals: NDArray[np.floating],
-        phase_rev: Floats,
-        usable: Bools,
-        *,
-        bandwidth_hz: Floats,
-        rate_hz: float,
-        poles: int,
-        knots_per_bandwidth: int | None = None,
-    ) -> None:
-        """The equations of ``signals`` (channels, samples) at ``rate_hz``, where they are ``usable`` (samples,).
+    def __init__(self, signals: Floats, phase_rev: Floats, usable: Bools, starts: Ints, weight: Floats) -> None:
+        """The equations of ``signals`` (channels, samples), finite, where they are ``usable`` (samples,).
 
-        ``phase_rev`` (orders, samples); ``bandwidth_hz`` (orders, points), the points even across the record with the
-        first at its beginning and the last at its end; ``poles`` of the filter; ``knots_per_bandwidth`` as of
-        ``KNOTS_PER_BANDWIDTH``, which holds without it.
+        ``phase_rev`` (orders, samples), ``starts`` as of ``place_knots``; ``weight`` (intervals, orders) of the
+        structural equation. The solution counts all channels and, as the last one, a signal of ones.
         """
-        self.signals, self.phase_rev, self.usable, self.poles = signals, phase_rev, usable, poles
-        n_channels, n_samples = signals.shape
-        self.scale = _scales(signals, usable)
-        density = knots_per_bandwidth or KNOTS_PER_BANDWIDTH[poles - 1]
-        spacing = np.maximum(rate_hz / (density * bandwidth_hz.max(axis=0)), LEAST_SPACING)
-        self.knots = place_knots(spacing, n_samples, fewest=FEWEST_INTERVALS)
-        places_hz = rate_hz * self.knots.intervals / n_samples
-        self.sums_per_bandwidth = places_hz / np.median(bandwidth_hz, axis=1)
-        intervals, rows = self.knots.intervals, 2 * len(phase_rev)
-        middle = 0.5 * (self.knots.starts[1:] + self.knots.starts[:-1])
-        points = np.linspace(0.0, n_samples, bandwidth_hz.shape[1])
-        at_knots = np.array([np.interp(middle, points, of_order) for of_order in bandwidth_hz])
-        self.weight = np.ascontiguousarray(structural_weight(at_knots, rate_hz=rate_hz, poles=poles).T)
-        runs = self.knots.runs
-        self.kind = np.searchsorted(runs, np.arange(intervals), side="right") - 1
-        self.splines = spline_pieces(self.knots.extended, runs, DEGREE)
-        self.forms, self.slopes = roughness(self.knots, runs, poles), difference_slopes(self.knots, poles)
-        steep = local_differences(self.knots, runs, poles)
-        self.stiffness = np.ascontiguousarray(steep.transpose(0, 2, 1) @ self.forms @ steep)
-        self.gram = np.zeros((intervals, rows * (rows + 1) // 2, 2 * DEGREE + 1))
-        self.data = np.zeros((intervals, n_channels + 1, rows, DEGREE + 1))
-        self.residual_data = np.zeros((intervals, n_channels, rows, DEGREE + 1))
-        self.totals = np.zeros(n_channels + 1)
-        self.data_band = np.empty((0, 0))
-        starts = self.knots.starts
-        add_moments(signals, self.scale, phase_rev, usable, starts, self.gram, self.data, self.totals)
+        turned = 2.0 * np.pi * (phase_rev - np.floor(phase_rev))
+        waves = np.concatenate([np.cos(turned), np.sin(turned)]) * usable
+        known = np.vstack([signals, np.ones(len(usable))]) * usable
+        self.starts, self.rows, self.weight = starts, len(waves), np.tile(weight, 2)
+        self.totals = known.sum(axis=1)
+        # lower band by rows, the diagonal last: its transpose is LAPACK's upper band
+        self.data = np.zeros(((len(starts) - 1 + DEGREE) * self.rows, SPLINES * self.rows))
+        self.wanted = np.zeros((len(known), len(self.data)))
+        normal_equations(known, waves, _pieces(starts), starts, self.data, self.wanted)
 
-    def solve(self) -> Solution:
-        """Envelopes of all channels, jointly over orders.
+    def _pairs(self, band: Floats) -> Iterator[tuple[int, int, Floats]]:
+        """Splines a and b <= a of an interval, and the entries (intervals, rows) of ``band`` for these in each."""
+        blocks, intervals = band.reshape(-1, self.rows, band.shape[1]), len(self.weight)
+        for a, b in zip(*np.tril_indices(SPLINES), strict=True):
+            yield int(a), int(b), blocks[a : a + intervals, :, -1 - (a - b) * self.rows]
 
-        Raises LinAlgError where orders cannot be told apart to working precision.
+    def solve(self) -> tuple[Floats, Floats, Floats]:
+        """Coefficients (channels, unknowns), constant part (channels,) and variance (orders, intervals) of envelopes.
+
+        The variance is that in the middle of intervals, of white noise of variance one. Raises LinAlgError where orders
+        cannot be told apart to working precision.
         """
-        n_splines, rows = self.knots.intervals + DEGREE, 2 * len(self.phase_rev)
-        self.data_band = np.zeros((n_splines * rows, rows * (DEGREE + 1)))
-        assemble_gram(self.gram, spline_products(self.splines), self.kind, self.data_band)
-        wanted = np.zeros((self.data.shape[1], n_splines, rows))
-        gather(self.data, self.splines, self.kind, wanted)
-        if self.knots.intervals <= FEWEST_INTERVALS:
-            forms = self.forms[self.kind]
-            solved, covariance = solve_short(self.data_band, forms, self.weight, self.slopes, wanted)
-            # lower band of the full matrix, stored as the banded kernels do
-            lags = range(self.data_band.shape[1] - 1, -1, -1)
-            inverse = np.array([[row[max(i - k, 0)] for k in lags] for i, row in enumerate(covariance)])
-        else:
-            solved, inverse = self._solve_long(wanted)
-        # constant part of each channel, jointly with the orders: the last channel is a signal of ones
-        offset, n_usable = np.zeros(len(self.scale)), self.totals[-1]
-        left = n_usable - float(np.sum(solved[-1] * wanted[-1]))
+        rough = np.zeros_like(self.data)
+        stiffness = roughness(self.starts, DEGREE, POLES)
+        for a, b, entries in self._pairs(rough):
+            entries += stiffness[:, a, b, None] * self.weight
+        factor, heavier = (cholesky_banded((self.data + k * rough).T, check_finite=False) for k in (1.0, 2.0))
+        forms = roughness(self.starts, DEGREE - POLES, 0)
+        values = np.zeros_like(self.wanted)
+        for _ in range(PASSES):
+            left = self.wanted - self.applied(values) - self._structure(values, forms)
+            values += cho_solve_banded((factor, False), left.T, check_finite=False).T
+        # constant part of each channel, jointly with the orders
+        offset, n_usable = np.zeros(len(values) - 1), self.totals[-1]
+        left = n_usable - float(values[-1] @ self.wanted[-1])
         if left > LEAST_CONSTANT * n_usable:
-            offset = (self.totals[:-1] - np.einsum("csr,sr->c", solved[:-1], wanted[-1])) / left
-        values = solved[:-1] - solved[-1] * offset[:, None, None]
-        pieces = np.empty((self.knots.intervals, len(self.scale), rows, DEGREE + 1))
-        scatter(values, self.splines, self.kind, pieces)
-        return Solution(pieces, offset, variance_at_middles(inverse, self.splines, self.kind, rows))
+            offset = (self.totals[:-1] - values[:-1] @ self.wanted[-1]) / left
+        variance, less = self._inverse_at_middles(factor), self._inverse_at_middles(heavier)
+        # of data noise: what of the inverse does not fall as the structural equation gains weight; far from ends and
+        # gaps that is the noise bandwidth of the filter over that of its square root, and where orders are not seen the
+        # rest of it is what envelopes may do there
+        variance *= np.maximum(1.0 + np.log2(less / variance), 1.0 - 0.5 / POLES)
+        variance = variance.reshape(len(variance), 2, -1).mean(axis=1).T
+        return values[:-1] - values[-1] * offset[:, None], offset, variance
 
-    def _solve_long(self, wanted: Floats) -> tuple[Floats, Floats]:
-        """Coefficients, and the band of their covariance from data noise.
+    def applied(self, values: Floats) -> Floats:
+        """The data's weight times ``values`` (channels, unknowns)."""
+        return np.array([dsbmv(self.data.shape[1] - 1, 1.0, self.data.T, row) for row in values])
 
-        That noise is the same share 1 - 1/(2 poles) of the inverse everywhere: the noise bandwidth of the filter over
-        that of its square root (measured: within 2 % at the ends as well). The rest is what envelopes may do unseen.
-        """
-        factor = self.data_band.copy()
-        assemble_roughness(self.stiffness, self.kind, self.weight, factor)
-        if factorise(factor) >= 0:
-            raise np.linalg.LinAlgError("the normal equations are not definite")
-        values = wanted.copy()
-        solve(factor, values.reshape(len(values), -1))
-        last = np.inf
-        for _ in range(REFINEMENTS):
-            # the normal equations applied, roughness by differences: exact where envelopes are smooth
-            applied = np.zeros_like(values)
-            product(self.data_band, values.reshape(len(values), -1), applied.reshape(len(values), -1))
-            apply_roughness(self.forms, self.kind, self.weight, self.slopes, values, applied)
-            step = wanted - applied
-            solve(factor, step.reshape(len(step), -1))
-            values += step
-            change = float(np.abs(step).max()) / max(float(np.abs(values).max()), 1e-300)
-            if change < ENOUGH or change > 0.5 * last:
-                break
-            last = change
-        return values, inverse_band(factor) * (1.0 - 0.5 / self.poles)
-
-    def read(self, solution: Solution) -> tuple[Complexes, Floats]:
-        """Amplitudes (channels, orders, samples) and residual (channels, samples) of the ``solution`` of ``solve``.
-
-        The residual is noted for the standard errors, thus it is to be read once.
-        """
-        n_channels, n = self.signals.shape
-        amplitude = np.empty((n_channels, len(self.phase_rev), 2 * n))
-        residual = np.empty((n_channels, n))
-        where = (self.phase_rev, self.usable, self.knots.starts, solution.pieces)
-        evaluate(self.signals, self.scale, solution.offset, *where, amplitude, residual, self.residual_data)
-        return amplitude.view(np.complex128), residual
-
-    def distances(self, order: int) -> Floats:
-        """Distance of the other orders from number ``order`` (others, splines), in cycles per spline."""
-        inner = self.phase_rev[:, self.knots.starts[:-1]]
-        at_knots = np.column_stack([inner, 2.0 * self.phase_rev[:, -1] - self.phase_rev[:, -2]])
-        apart = np.diff(at_knots - at_knots[order], axis=1)
-        extra = (DEGREE - DEGREE // 2, DEGREE // 2)
-        return np.pad(np.delete(apart, order, axis=0), ((0, 0), extra), mode="edge")
-
-    def residual_sums(self) -> tuple[Complexes, Floats]:
+    def residual_sums(self, values: Floats, offset: Floats) -> tuple[Complexes, Floats]:
         """What the residual holds about each order, by spline: sums (channels, orders, splines) and their weights.
 
-        The sums are of residual · spline · exp(-2πi phase); for white noise of variance s² their mean square is s²
-        times the weight (orders, splines).
+        ``values`` and ``offset`` as of ``solve``. The sums are of residual · spline · exp(-2πi phase); for white noise
+        of variance s² their mean square is s² times the weight (orders, splines).
         """
-        k, n_splines = len(self.phase_rev), self.knots.intervals + DEGREE
-        values = np.zeros((len(self.scale), n_splines, 2 * k))
-        gather(self.residual_data, self.splines, self.kind, values)
-        weight = self.data_band[:, -1].reshape(n_splines, 2 * k)
-        sums = (values[:, :, :k] - 1j * values[:, :, k:]).transpose(0, 2, 1)
-        return sums, (weight[:, :k] + weight[:, k:]).T
+        left = self.wanted[:-1] - self.applied(values) - offset[:, None] * self.wanted[-1]
+        cosine, sine = np.split(left.reshape(len(left), -1, self.rows).transpose(0, 2, 1), 2, axis=1)
+        weight = self.data[:, -1].reshape(-1, 2, self.rows // 2).sum(axis=1)
+        return cosine - 1j * sine, weight.T
+
+    def _structure(self, values: Floats, forms: Floats) -> Floats:
+        """The structural equation applied to ``values`` (channels, unknowns).
+
+        ``forms`` act on the coefficients of derivatives, which come by differences: those of a constant vanish exactly.
+        """
+        knots, intervals = _knots(self.starts, DEGREE)[:, None], len(self.weight)
+        slopes = [(DEGREE - k) / (knots[SPLINES : len(knots) - k - 1] - knots[k + 1 : -SPLINES]) for k in range(POLES)]
+        steep = values.reshape(len(values), -1, self.rows)
+        for slope in slopes:
+            steep = np.diff(steep, axis=1) * slope
+        rough = np.zeros_like(steep)
+        for a, b in np.ndindex(forms.shape[1:]):
+            rough[:, a : a + intervals] += forms[:, a, b, None] * self.weight * steep[:, b : b + intervals]
+        for slope in slopes[::-1]:
+            rough = -np.diff(rough * slope, axis=1, prepend=0.0, append=0.0)
+        return rough.reshape(values.shape)
+
+    def _inverse_at_middles(self, factor: Floats) -> Floats:
+        """Inverse (intervals, rows) for the envelopes in the middle of each interval, from LAPACK's ``factor``."""
+        middle = splines_at(self.starts, middles(self.starts))
+        inverse = np.zeros_like(self.weight)
+        for a, b, entries in self._pairs(inverse_band(factor.T)):
+            inverse += (1.0 + (a != b)) * (middle[:, a] * middle[:, b])[:, None] * entries
+        return inverse
+
+    def amplitude_at(self, values: Floats, place: Ints) -> Complexes:
+        """Complex amplitudes (channels, orders, places) of ``values`` (channels, unknowns) at the samples ``place``."""
+        of_places = values.reshape(len(values), -1, self.rows)[:, _near(self.starts, place)]
+        cosine, sine = np.split(np.einsum("pa,cpar->crp", splines_at(self.starts, place), of_places), 2, axis=1)
+        return np.asarray(cosine - 1j * sine)
