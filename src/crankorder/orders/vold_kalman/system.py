@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.linalg.blas import dsbmv
 
 from crankorder.orders.vold_kalman.banded import inverse_band, normal_equations
 from crankorder.orders.vold_kalman.bandwidth import POLES
@@ -131,6 +129,8 @@ class EnvelopeSystem:
         The variance is that in the middle of intervals, of white noise of variance one. Raises LinAlgError where orders
         cannot be told apart to working precision.
         """
+        from scipy.linalg import cho_solve_banded, cholesky_banded  # with much that maps alone need not wait for
+
         rough = np.zeros_like(self.data)
         stiffness = roughness(self.starts, DEGREE, POLES)
         for a, b, entries in self._pairs(rough):
@@ -156,6 +156,8 @@ class EnvelopeSystem:
 
     def applied(self, values: Floats) -> Floats:
         """The data's weight times ``values`` (channels, unknowns)."""
+        from scipy.linalg.blas import dsbmv
+
         return np.array([dsbmv(self.data.shape[1] - 1, 1.0, self.data.T, row) for row in values])
 
     def residual_sums(self, values: Floats, offset: Floats) -> tuple[Complexes, Floats]:
