@@ -72,7 +72,8 @@ TEXTS = [
     (agreed_at(2.004, lock="undecided", error=0.002), ENGINE, {}, [KINEMATICS]),
     (agreed_at(2.004, lock="undecided", error=0.001), ENGINE, {}, ["unexplained"]),
     # an order that is hardly known is no multiple of the cycle for that
-    (agreed_at(7.31, 6.98, lock="undecided", error=0.2), ROTOR, {}, ["unexplained", HARMONIC]),
+    *((agreed_at(7.31, 6.98, lock="undecided", error=error), ROTOR, {}, ["unexplained", is_one])
+      for error, is_one in ((0.2, "unexplained"), (0.05, HARMONIC))),
     # the gas cycle: in cylinders, and not in the air nor where there is no piston
     *((agreed_at(0.5, 1.0, 1.5, 2.0), ENGINE, {"quantity": quantity, "unit": unit}, 4 * ["gas cycle"])
       for quantity, unit in (("pressure", "bar"), ("cylinder pressure", "Pa"), ("Cylinder_Pressure", "kPa"))),
@@ -86,8 +87,7 @@ TEXTS = [
     (agreed_at(0.5, 1.0, 1.5, 3.0), ENGINE, {}, [HALF, "gas cycle or engine kinematics", HALF, "unexplained"]),
     # one lone half order of a motored engine proves no cycle
     (agreed_at(5.5, 1.0), ENGINE, {}, ["unexplained", KINEMATICS]),
-    (agreed_at(5.5, 1.0), FOUR_STROKE, {}, [HALF, HARMONIC]),
-    (agreed_at(5.5, 1.0), ROTOR, {}, ["unexplained", HARMONIC]),
+    *((agreed_at(5.5, 1.0), of, {}, [half, HARMONIC]) for of, half in ((FOUR_STROKE, HALF), (ROTOR, "unexplained"))),
     # a locked line at balls times shaft speed may as well be an eleven-fold part
     (agreed_at(5.5), JACK, {"bearings": [bearing_record(JACK_SHAFT, "N*fs", 5.5)]},
      ["bearing jack shaft N*fs or an 11-fold part of that shaft"]),

@@ -208,17 +208,15 @@ def _unparted(agreed: AgreedOrder, revs_per_cycle: int, longest_rev: float) -> f
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
     """Multiple of the order of the cycle (1 / ``revs_per_cycle``) that ``agreed`` is or may be; None where it is none.
 
-    A line that slips is none; one that is undecided is, if its 95 % interval holds it and it lies no farther from it
-    than one line of four that lie anywhere. What errors of the crank angle may have made is none.
+    A line that slips is none; one that is undecided is, if its 95 % interval holds it and would not hold one of four
+    lines that lie anywhere. What errors of the crank angle may have made is none.
     """
-    nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
-    if agreed.lock == "locked" and abs(agreed.order - nearest) < 0.25 / revs_per_cycle:
+    nearest, apart = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle, 1.0 / revs_per_cycle
+    if agreed.lock == "locked" and abs(agreed.order - nearest) < 0.25 * apart:
         return nearest
-    half = half_width(agreed.degrees_of_freedom) * agreed.order_error
-    reach = min(half + 1e-9, NUMBERS.vague_spacings / revs_per_cycle)
-    if agreed.lock == "slips" or agreed.of_angle or abs(agreed.order - nearest) > reach:
-        return None
-    return nearest
+    half = half_width(agreed.degrees_of_freedom) * agreed.order_error + 1e-9
+    is_none = agreed.lock == "slips" or agreed.of_angle or half > NUMBERS.vague_spacings * apart
+    return None if is_none or abs(agreed.order - nearest) > half else nearest
 
 
 def _gas_in_pressure(of: _Line, test: _Test) -> Cause | None:
