@@ -125,10 +125,10 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
     causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, beside=beside)
     modal = with_neighbours_named(modal, in_map, causes)
 
-    tested = _tested_rpm(order_map, campbell)
+    tested, rate = _tested_rpm(order_map, campbell), _fastest_sweep(followed)
     moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]
     met = crossings(moving, modal, speed_rpm=tested, settings=asked, stated=stated)
-    speeds = speeds_to_avoid(met, moving, modal, speed_rpm=tested, unit=unit, settings=asked)
+    speeds = speeds_to_avoid(met, moving, modal, speed_rpm=tested, unit=unit, settings=asked, sweep_rpm_per_s=rate)
     meetings = as_avoided(met, speeds.avoid)
     speeds = speeds if doubt is None else without_free(speeds)
 
@@ -232,6 +232,11 @@ def _tested_rpm(order_map: xr.Dataset, campbell: xr.Dataset) -> tuple[float, flo
     return (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
 
 
+def _fastest_sweep(followed: Sequence[xr.Dataset]) -> float:
+    """Rate [rpm/s] at which the fastest of ``followed`` (RecordingTracks) changes its speed; 0 where none sweeps."""
+    return max((float(tracks.attrs.get("sweep_rpm_per_s", 0.0)) for tracks in followed), default=0.0)
+
+
 def going_with_speed(orders: Sequence[AgreedOrder], causes: Causes) -> tuple[AgreedOrder, ...]:
     """Those of ``orders``, explained by ``causes``, that move with the speed: only these can meet something elsewhere.
 
@@ -326,6 +331,7 @@ def _order_record(
     best = reported(line, law)
     phase = float(line.phase_deg[best.at])
     held = held_peak(modal, agreed.order, line.channel, largest_rpm=best.speed_rpm)
+    held = None if held is not None and held.ends[1] < best.amplitude else held  # no sweep makes an order larger
     doubts = (*agreed.doubts, *line.doubts)
     kinds = [doubt.kind for doubt in doubts] + ([] if cause.doubt is None else [cause.doubt])
     proven = agreed.lock == "locked" and line.evidence == "locked to the shaft"

@@ -148,7 +148,9 @@ def parted_rows(
     parts: dict[int, list[PartedRow]] = {}
     for stretch, lines, most, fit in solved:
         part = _part(stretch, orders, fit, np.abs(off) + DOUBT * error)
-        part = replace(part, lines=lines, doubt=part.doubt + most * stretch.unit)
+        # a number that lines nearby may have moved parts nothing from them
+        beats = part.beats and (bool(exact[0]) or not lines)
+        part = replace(part, lines=lines, doubt=part.doubt + most * stretch.unit, beats=beats)
         parts.setdefault(stretch.row, []).append(part)
     wanders = bool(not exact[0] and exact[1:].all())
     return [replace(_joined(of_row), wanders=wanders) for of_row in parts.values()]

@@ -140,11 +140,6 @@ class HeldFrames:
         """Whether the spectra hold the main lobes of lines at the orders ``low`` and ``high``."""
         return low - LOBE_BINS / self.revs > 0.0 and high + LOBE_BINS / self.revs < float(self.axis[-1])
 
-    def bins_within(self, low: float, high: float) -> Ints:
-        """Bins that lines between the orders ``low`` and ``high`` reach."""
-        reach = LOBE_BINS / self.revs
-        return np.flatnonzero((self.axis >= low - reach) & (self.axis <= high + reach))
-
 
 @dataclass(frozen=True, eq=False)
 class Sighting:

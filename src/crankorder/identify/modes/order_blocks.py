@@ -12,7 +12,7 @@ from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Order
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple, proves_speed, speed_source
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modes.order_responses import Block, Rows
+from crankorder.identify.modes.order_responses import UNTOLD_HZ, Block, Rows
 from crankorder.orders.intervals import WHOLE, one_phase_reference, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import NOISE_BANDWIDTH
 from crankorder.quantities import Complexes, Floats
@@ -22,9 +22,6 @@ NUMBERS = MethodNumbers("5-identify-modal.toml", "order_blocks")
 
 TURNS_SURELY = "turns_surely"
 """Attribute of the tracks of a sweep: whether its angle is so sure that its signals were asked for modes."""
-
-UNTOLD_HZ = 1e9
-"""Blur of rows of a sweep whose signals were not asked: a mode may ring in them as it likes, and none is excluded."""
 
 
 def blocks_of(order_map: xr.Dataset, orders: AgreedOrders, followed: Sequence[xr.Dataset] = ()) -> tuple[Block, ...]:

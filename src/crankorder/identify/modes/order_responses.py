@@ -28,6 +28,9 @@ from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "order_responses")
 
+UNTOLD_HZ = 1e9
+"""Blur of rows of a sweep whose signals were not asked: a mode may ring in them as it likes, and none is excluded."""
+
 EXPONENTS = (2.0, 0.0, 1.0, 3.0)
 """Powers of the speed that forces grow with: that of inertia, which needs no proof, steady, …, and one more."""
 
@@ -501,6 +504,8 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
         linear, covariance = part.linear, part.covariance * part.beyond_errors
         slopes = _terms_by_poles(scattered, modes, part)
         rows = scattered.rows
+        is_told = part.degrees_of_freedom > 0 and rows.blur_hz < UNTOLD_HZ
+        fits = is_told and scattered.scatter <= NUMBERS.most_scatter
         for number, channel in enumerate(rows.channels):
             residue = np.zeros(len(modes), dtype=complex)
             residue[part.reached] = linear[number, first:]
@@ -515,7 +520,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
                     np.asarray(covariance[number], dtype=np.complex128),
                     part.degrees_of_freedom // len(rows.channels),
                     scattered.noise * float(np.median(rows.error[number][np.isfinite(rows.error[number])])),
-                    part.degrees_of_freedom > 0 and scattered.scatter <= NUMBERS.most_scatter,
+                    fits,
                     rows.recording,
                     slopes[number],
                 )

@@ -126,15 +126,17 @@ def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[x
     """``followed`` (RecordingTracks) whose rows near the modes of ``fits`` are theirs, with one more at each peak.
 
     What each row would be if its speed were held is their ``held_amplitude`` (channel, order, frame): the steady answer
-    of the fit near a mode, elsewhere what the filter tells with what it took put back. The attribute ``turns_surely``
-    says whether the angle is so sure that the signals were asked for modes at all.
+    of the fit near a mode, elsewhere what the filter tells with what it took put back, NaN beyond a gap of the signals.
+    The attribute ``turns_surely`` says whether the angle is so sure that the signals were asked for modes at all.
     """
     replaced = []
     for tracks in followed:
         if "smoothing" in tracks:
             changed = ("amplitude", "standard_error", "degrees_of_freedom", *SMOOTHING)
             own = {name: tracks[name].copy() for name in changed}
-            own["held_amplitude"] = (tracks["amplitude"] + tracks["smoothing"]).assign_attrs(tracks["amplitude"].attrs)
+            asked = _asked(tracks)
+            own["held_amplitude"] = (tracks["amplitude"] + tracks["smoothing"]).where(asked)
+            own["held_amplitude"].attrs = dict(tracks["amplitude"].attrs)
             tracks = tracks.assign(own).assign_attrs({TURNS_SURELY: int(_turns_surely(tracks))})
         for group in fits.groups if "waveform" in tracks else ():
             numbers = tracks["order"].values.tolist()
@@ -147,6 +149,14 @@ def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[x
                         tracks = _with_order(tracks, place, group, (fit, less), alone=alone)
         replaced.append(tracks)
     return replaced
+
+
+def _asked(tracks: xr.Dataset) -> xr.DataArray:
+    """Which rows (frame,) of ``tracks`` the waveform reaches: nothing tells what a mode kept from the others."""
+    if "waveform" not in tracks:
+        return xr.ones_like(tracks["time"], dtype=bool)
+    start, rate = (float(tracks.attrs[f"waveform_{name}"]) for name in ("start_s", "rate_hz"))
+    return (tracks["time"] >= start) & (tracks["time"] <= start + tracks.sizes["sample"] / rate)
 
 
 def _with_order(

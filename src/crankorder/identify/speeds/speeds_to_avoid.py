@@ -63,6 +63,7 @@ def speeds_to_avoid(
     speed_rpm: tuple[float, float],
     unit: Mapping[str, str],
     settings: IdentifySettings,
+    sweep_rpm_per_s: float = 0.0,
 ) -> SpeedVerdicts:
     """Speeds to avoid, worst first, the free bands of the tested range, and those that are open.
 
@@ -86,6 +87,7 @@ def speeds_to_avoid(
     speed_rpm : slowest and fastest speed of the test, rpm
     unit : of each channel: the largest amplitude counts of those that have the same
     settings : ``crossing_band_rpm`` is the least width of a free band
+    sweep_rpm_per_s : rate at which the fastest sweep changes the speed, 0 where none does
     """
     largest: dict[str, float] = {}
     for line in (line for agreed in orders for line in agreed.lines):
@@ -93,7 +95,14 @@ def speeds_to_avoid(
     in_unit = {name: max(largest[other] for other in largest if unit[other] == unit[name]) for name in largest}
     met = [_cost(crossing, orders, modal, in_unit, settings) for crossing in found if _counts(crossing)]
     lone = lone_peaks(
-        orders, modal, met, largest=largest, in_unit=in_unit, unit=unit, factor=settings.free_amplification
+        orders,
+        modal,
+        met,
+        largest=largest,
+        in_unit=in_unit,
+        unit=unit,
+        factor=settings.free_amplification,
+        sweep_rpm_per_s=sweep_rpm_per_s,
     )
     findings = [crossing.finding for crossing in found]
     numbered = {(finding.order, finding.mode_hz) for finding in findings if finding.amplification is not None}
@@ -438,6 +447,7 @@ def lone_peaks(
     in_unit: Mapping[str, float],
     unit: Mapping[str, str],
     factor: float,
+    sweep_rpm_per_s: float = 0.0,
 ) -> list[AvoidedSpeed]:
     """Speeds to avoid that no crossing accounts for: an order is there ``factor`` times what it is on both sides.
 
@@ -445,8 +455,9 @@ def lone_peaks(
     interval, over the middling ones of the speeds on either side. Those that the speeds ``avoided`` of the same
     order hold are left out, and what is small beside the ``largest`` amplitude of its channel. The amplitude is the
     largest there of all channels of the same ``unit``; its share of the largest of any order there (``in_unit``)
-    ranks it. Its range ends half way to the speeds beside. The natural frequency is that of the ``modal`` fit between
-    the neighbouring speeds; where there is none, that at which the order peaks.
+    ranks it. Its range ends half way to the speeds beside, in a sweep where a mode that it passes may have left it: so
+    many hertz beside as the root of the hertz per second (Lewis 1932). The natural frequency is that of the ``modal``
+    fit between the neighbouring speeds; where there is none, that at which the order peaks.
     """
     lone: list[AvoidedSpeed] = []
     for agreed in orders:
@@ -464,6 +475,9 @@ def lone_peaks(
             channel, worst = max(there, key=lambda of_channel: of_channel[1].amplitude)
             below = float(line.speed_rpm[line.speed_rpm < rpm].max())
             above = float(line.speed_rpm[line.speed_rpm > rpm].min())
+            # a sweep rings behind a resonance
+            is_swept = line.n_independent is not None and bool(line.n_independent[place] < 1.0)
+            late = 60.0 / order * np.sqrt(order * sweep_rpm_per_s / 60.0) if is_swept else 0.0
             hz = order * rpm / 60.0
             near = [mode.frequency_hz for mode in modal.modes if below < 60.0 * mode.frequency_hz / order < above]
             mode_hz = min(near, key=lambda mode_hz: abs(mode_hz - hz), default=hz)
@@ -472,7 +486,7 @@ def lone_peaks(
                 order,
                 mode_hz,
                 rpm=rpm,
-                rpm_range=(0.5 * (below + rpm), 0.5 * (rpm + above)),
+                rpm_range=(min(0.5 * (below + rpm), rpm - late), max(0.5 * (rpm + above), rpm + late)),
                 channel=channel,
                 amplitude=worst.amplitude,
                 amplitude_ci95=(worst.low, worst.high),
@@ -481,7 +495,6 @@ def lone_peaks(
                 cost=worst.amplitude / max(in_unit.get(channel, 0.0), worst.amplitude),
                 reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",
             )
-            # a sweep rings behind a resonance
             reach = 1.0 if line.n_independent is None else 1.0 + LONE_NUMBERS.around_share
             if not any(_holds(other, peak, reach) for other in (*avoided, *lone)):
                 lone.append(peak)
