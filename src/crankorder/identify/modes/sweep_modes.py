@@ -134,8 +134,7 @@ def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[x
         if "smoothing" in tracks:
             changed = ("amplitude", "standard_error", "degrees_of_freedom", *SMOOTHING)
             own = {name: tracks[name].copy() for name in changed}
-            asked = _asked(tracks)
-            own["held_amplitude"] = (tracks["amplitude"] + tracks["smoothing"]).where(asked)
+            own["held_amplitude"] = (tracks["amplitude"] + tracks["smoothing"]).where(_asked(tracks))
             own["held_amplitude"].attrs = dict(tracks["amplitude"].attrs)
             tracks = tracks.assign(own).assign_attrs({TURNS_SURELY: int(_turns_surely(tracks))})
         for group in fits.groups if "waveform" in tracks else ():
