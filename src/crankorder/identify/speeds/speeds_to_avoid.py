@@ -456,8 +456,9 @@ def lone_peaks(
     order hold are left out, and what is small beside the ``largest`` amplitude of its channel. The amplitude is the
     largest there of all channels of the same ``unit``; its share of the largest of any order there (``in_unit``)
     ranks it. Its range ends half way to the speeds beside, in a sweep where a mode that it passes may have left it: so
-    many hertz beside as the root of the hertz per second that ``sweep_rpm_per_s`` makes of it (Lewis 1932). The natural frequency is that of the ``modal``
-    fit between the neighbouring speeds; where there is none, that at which the order peaks.
+    many hertz beside as the root of the hertz per second that ``sweep_rpm_per_s`` makes of it (Lewis 1932). The natural
+    frequency is that of the ``modal`` fit between the neighbouring speeds; where there is none, that at which the order
+    peaks.
     """
     lone: list[AvoidedSpeed] = []
     for agreed in orders:
