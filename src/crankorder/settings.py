@@ -325,7 +325,7 @@ def load_settings(
 _ENCODER = "Remove it: an encoder is put right unasked, in teeth that err little too with --recipe calibrated-encoder"
 _WIDTH = "Remove it: the bandwidth of an order that is followed through a sweep comes from the rate of the sweep"
 _GONE = {
-    "orders.method": "Remove it: orders are resampled within `tolerance`, at any rate",
+    "orders.method": "Remove it: orders are always resampled, within `tolerance`",
     "shaft.calibrate_encoder": _ENCODER,
     "shaft.calibration_speed_ratio": _ENCODER,
     "orders.track_bandwidth": _WIDTH,
