@@ -8,11 +8,9 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.modes import order_search
-from crankorder.identify.modes.joint_fit import modal_fit
-from crankorder.identify.modes.order_modes import mode_of
-from crankorder.identify.modes.order_responses import Block, Rows
+from crankorder.identify.modes.joint_fit import modal_fit, mode_of
+from crankorder.identify.modes.order_responses import Block, Rows, resonance
 from crankorder.identify.modes.order_search import poles_of_orders, settled
-from crankorder.identify.modes.order_terms import resonance
 from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, DrawnOrder, blocks_from, drawn_machine

@@ -13,8 +13,7 @@ from crankorder.identify.found import Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.floor import Floor
-from crankorder.identify.modes.settled_tones import without_absent_mains
-from crankorder.identify.modes.tones import kind_of, with_one_mains
+from crankorder.identify.modes.tones import kind_of, with_one_mains, without_absent_mains
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
-from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -24,34 +22,42 @@ from crankorder.identify.found import (
 )
 from crankorder.identify.modes.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modes.order_blocks import blocks_of
-from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modes.order_modes import (
-    Proof,
-    is_proven,
-    is_shown,
-    mode_of,
-    proven_by,
-    tone_as_mode,
-)
 from crankorder.identify.modes.order_responses import Block, fitting, responses_of, with_best_law
-from crankorder.identify.modes.order_search import Settled, orders_raised, poles_of_orders, settled
-from crankorder.identify.modes.pole_errors import covariance_of_all, pole_covariance, side_by_side
+from crankorder.identify.modes.order_search import (
+    ORDER_MODES,
+    OrderPole,
+    Proof,
+    Settled,
+    orders_raised,
+    poles_of_orders,
+    settled,
+)
 from crankorder.identify.modes.responses import floor_bound, least_seen
 from crankorder.identify.modes.search import (
-    EVERYWHERE,
+    Band,
+    bands_of,
     dispersion,
     evidence_of,
     hidden_poles,
     least_gain,
-    peaks,
     scatter_at,
     search,
     with_strong_tones,
 )
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, covariance_among, poles_at
+from crankorder.identify.modes.surface_fit import (
+    NO_POLES,
+    Poles,
+    Problem,
+    SurfaceFit,
+    covariance_among,
+    covariance_of_all,
+    pole_covariance,
+    poles_at,
+    side_by_side,
+)
 from crankorder.identify.modes.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
 from crankorder.identify.modes.tones import NUMBERS as TONES
-from crankorder.identify.modes.tones import tone_of, tone_or_mode, with_one_mains, with_tones
+from crankorder.identify.modes.tones import is_shown, tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modes.whirl import (
     doubt_about,
     narrower_than_fitted,
@@ -61,88 +67,11 @@ from crankorder.identify.modes.whirl import (
     whirls_of,
     without_remains,
 )
+from crankorder.orders.intervals import Z95
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "joint_fit")
-
-
-@dataclass(frozen=True, eq=False)
-class Band:
-    """``floor`` of a band with what it shares with the next ones; poles in ``range_hz`` (from, to) belong to it.
-
-    ``first`` and ``last`` are the bins of the whole floor that are its own, the last one excluded.
-    """
-
-    floor: Floor
-    range_hz: tuple[float, float]
-    first: int
-    last: int
-
-    def holds(self, poles: Poles) -> Bools:
-        """Which of ``poles`` (M,) lie in it or in what it shares."""
-        at, step = poles.frequency_hz, self.floor.step_hz
-        return np.asarray((at > self.floor.frequency_hz[0] - step) & (at < self.floor.frequency_hz[-1] + step))
-
-
-def bands_of(floor: Floor) -> tuple[Band, ...]:
-    """Bands of ``floor``, cut away from its peaks; one where it is short and has few."""
-    n_bins = len(floor.frequency_hz)
-    seen = _peaks_by_part(floor)
-    if n_bins <= NUMBERS.longest_bins and len(seen) <= NUMBERS.most_peaks:
-        return (Band(floor, EVERYWHERE, 0, n_bins),)
-    load = 1.0 / np.maximum(NUMBERS.band_bins, NUMBERS.band_share * floor.frequency_hz / floor.step_hz)
-    np.add.at(
-        load, np.searchsorted(floor.frequency_hz, seen.frequency_hz).clip(0, n_bins - 1), 1.0 / NUMBERS.band_peaks
-    )
-    load = np.cumsum(load)
-    n_bands = max(1, math.ceil(load[-1] - 1e-9))
-    cuts = [0, *(_quiet_cut(floor, seen, load, k / n_bands, n_bands) for k in range(1, n_bands)), n_bins]
-    cuts = sorted(set(cuts))
-    return tuple(_band(floor, first, last) for first, last in pairwise(cuts))
-
-
-def _band(floor: Floor, first: int, last: int) -> Band:
-    n_bins = len(floor.frequency_hz)
-    below, above = (
-        max(NUMBERS.shared_bins, round(NUMBERS.shared_share * float(floor.frequency_hz[end]) / floor.step_hz))
-        for end in (first, last - 1)
-    )
-    at = slice(max(0, first - below), min(n_bins, last + above))
-    part = replace(
-        floor,
-        frequency_hz=floor.frequency_hz[at],
-        psd=floor.psd[:, at],
-        averages=floor.averages[:, at],
-        cells=floor.cells[:, :, at],
-        whole=floor.whole[:, at],
-        strong=tuple(t for t in floor.strong if floor.frequency_hz[at][0] <= t[0] <= floor.frequency_hz[at][-1]),
-    )
-    low = floor.frequency_hz[first] - 0.5 * floor.step_hz if first else -math.inf
-    high = floor.frequency_hz[last] - 0.5 * floor.step_hz if last < n_bins else math.inf
-    return Band(part, (float(low), float(high)), first, last)
-
-
-def _peaks_by_part(floor: Floor) -> Poles:
-    """Peaks of ``floor``, looked for part by part, which takes a time that grows as the floor does."""
-    poles = NO_POLES
-    for first in range(0, len(floor.frequency_hz), NUMBERS.band_bins):
-        part = _band(floor, first, min(first + NUMBERS.band_bins, len(floor.frequency_hz)))
-        if len(part.floor.frequency_hz) >= 2 * NUMBERS.shared_bins:
-            here = peaks(part.floor)
-            poles = poles.joined(here.chosen(here.within(part.range_hz)))
-    return poles
-
-
-def _quiet_cut(floor: Floor, seen: Poles, load: Floats, share: float, n_bands: int) -> int:
-    """Bin near that at ``share`` of the ``load`` which lies the most widths away from any peak."""
-    low, high = np.searchsorted(load, load[-1] * (share + NUMBERS.slack_share / n_bands * np.array([-1.0, 1.0])))
-    bins = np.arange(max(int(low), 1), min(max(int(high), int(low) + 1), len(load) - 1) + 1)
-    if not len(seen):
-        return int(bins[len(bins) // 2])
-    width = seen.damping * seen.frequency_hz + 3.0 * floor.seen.bin_hz
-    away = (np.abs(floor.frequency_hz[bins, None] - seen.frequency_hz) / width).min(axis=1)
-    return int(bins[np.argmax(np.minimum(away, 10.0) - 1e-3 * np.abs(bins - bins.mean()) / len(bins))])
 
 
 ROUNDS = 2
@@ -443,3 +372,99 @@ def _mode(
     known = error <= ORDER_MODES.uncertain_share * f and zeta_error <= ORDER_MODES.known_share * zeta
     doubt = "" if is_proven(proof) and known else doubt
     return Mode(f, error, zeta, zeta_error, names, prominence, words, proof.orders, doubt)
+
+
+def proven_by(proof: Proof) -> str:
+    """What says that a mode is there, in words; empty where no order does.
+
+    ``proof``: the orders that show it.
+    """
+    if not proof.orders:
+        return ""
+    if not proof.passed:
+        return f"no order passes it; it shapes orders {_listed(proof.orders)} from afar"
+    names = _listed(proof.passed)
+    if len(proof.passed) > 1:
+        words = f"orders {names} peak there, each at its own speed, with the phase of a resonance"
+    else:
+        near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
+        words = f"order {names} has amplitude and phase of a resonance there, {near}"
+    if proof.flanked and proof.most_rows < ORDER_MODES.rows_of_turn and not _peaks_prove(proof):
+        words += f"; the flanks of order {_listed(proof.flanked)}, without the rows at its peak, place it there"
+    return words
+
+
+def is_proven(proof: Proof) -> bool:
+    """Whether two orders sweep through the mode, at several speeds, or each alone at one place: one is evidence.
+
+    One is proof too where it shows the mode at its peak and by its flanks alone.
+    ``proof``: the orders that show it.
+    """
+    return bool(proof.flanked) or _peaks_prove(proof)
+
+
+def _peaks_prove(proof: Proof) -> bool:
+    return len(proof.passed) > 1 and (proof.rows >= ORDER_MODES.rows_of_two or proof.located > 1)
+
+
+def mode_of(pole: OrderPole, covariance: Floats, every: Poles, *, settings: IdentifySettings) -> Mode | None:
+    """Mode of a ``pole`` that only orders show, with its ``covariance`` (2, 2); None where it is a part of the shape.
+
+    So is one of unknown damping that lies no further from another pole than it is known: both are one.
+    ``every``: all poles of the test, this one among them; ``settings``: the largest damping that a mode may have.
+    """
+    error, zeta_error = (float(np.sqrt(max(covariance[k, k], 0.0))) for k in (0, 1))
+    f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
+    others = every.frequency_hz[every.frequency_hz != f]
+    is_another = zeta_error > ORDER_MODES.known_share * zeta and bool((np.abs(others - f) <= Z95 * error).any())
+    if not proof.orders or zeta > settings.max_damping_ratio or is_another:
+        return None
+    doubt = _doubt(pole, error, zeta_error, every)
+    return Mode(f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, doubt)
+
+
+def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySettings) -> tuple[Mode, Floats]:
+    """A ``tone`` at which ``orders`` rise as an undecided mode, with its covariance (2, 2).
+
+    ``settings``: the least damping that a mode is reckoned with, which stands for one that nobody saw.
+    """
+    f, error, zeta = tone.frequency_hz, tone.frequency_error_hz, settings.least_damping_ratio
+    rise = f"orders {_listed(orders)} rise" if len(orders) > 1 else f"order {_listed(orders)} rises"
+    doubt = f"tone or mode: {rise} there"
+    mode = Mode(f, error, zeta, zeta, tuple(tone.amplitude), 0.0, tone.evidence, orders, doubt)
+    return mode, np.diag([error**2, zeta**2])
+
+
+def _listed(orders: Sequence[float]) -> str:
+    return ", ".join(f"{order:g}" for order in orders)
+
+
+def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> str:
+    """Why a pole that only orders show may be none."""
+    f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
+    low, high = proof.span_hz
+    said = []
+    if not proof.passed:
+        said.append("no order passes it: something else beyond what was swept may look the same")
+    elif (
+        len(proof.passed) == 1
+        and not proof.flanked
+        and (proof.most_rows < ORDER_MODES.rows_of_turn or zeta_error > ORDER_MODES.known_alone_share * zeta)
+    ):
+        said.append(f"passed by order {proof.passed[0]:g} alone, at {proof.most_rows} speeds: its force may peak there")
+    elif len(proof.passed) > 1 and not is_proven(proof):
+        said.append("too few speeds lie near it: a force that differs at one of them looks the same")
+    if error > ORDER_MODES.uncertain_share * f:
+        said.append(f"its frequency is known to {100.0 * error / f:.1f} % only")
+    if zeta_error > ORDER_MODES.known_share * zeta:
+        said.append("its damping is not determined")
+    if f + 2.0 * zeta * f > high or f - 2.0 * zeta * f < low:
+        said.append(f"lies at the end of what was swept, {low:.1f} to {high:.1f} Hz")
+    apart = np.abs(every.frequency_hz / f - 1.0)
+    within = (apart > 0.0) & (apart < every.damping)
+    wider = every.frequency_hz[
+        within & ((every.damping > ORDER_MODES.wider_ratio * zeta) | (apart < every.damping / ORDER_MODES.wider_ratio))
+    ]
+    if len(wider):
+        said.append(f"within the width of {wider[0]:.1f} Hz: what that one's model leaves may look the same")
+    return "; ".join(said)

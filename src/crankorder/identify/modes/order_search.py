@@ -8,23 +8,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
-from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modes.order_modes import OrderPole, Proof, named
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import (
+    ORDER_TERMS,
     Block,
     Blocks,
     Projected,
     Rows,
+    as_real,
     deviance_of,
+    jacobian,
     project,
     with_bent_law,
     with_best_law,
     with_scatter,
 )
-from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
-from crankorder.identify.modes.pole_errors import order_pole_covariance
-from crankorder.identify.modes.surface_fit import Poles, poles_at
+from crankorder.identify.modes.surface_fit import Cell, Poles, disagreement, poles_at
+from crankorder.orders.intervals import Z95
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -474,3 +474,182 @@ def _is_beside(poles: Poles, number: int) -> bool:
     apart = np.abs(np.log(poles.frequency_hz / poles.frequency_hz[number]))
     apart[number] = np.inf
     return bool((apart < np.minimum(poles.damping, poles.damping[number])).any())
+
+
+ORDER_MODES = MethodNumbers("5-identify-modal.toml", "order_modes")
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The ``orders`` that by themselves prove a mode, by amplitude and phase.
+
+    ``most_rows`` is the largest number of rows of one of them within some widths of it, ``rows`` that of all of them,
+    ``span_hz`` the lowest and highest frequency that they reached; ``located`` is how many of them find it at the same
+    place, each alone, within a part of its width; ``passed`` are those that sweep through it: what is told from afar
+    may be another mode. ``flanked`` are those whose rows on both sides, without the ones at the peak, ask for the mode
+    where these show it.
+    """
+
+    orders: tuple[float, ...] = ()
+    most_rows: int = 0
+    rows: int = 0
+    span_hz: tuple[float, float] = (0.0, 0.0)
+    located: int = 0
+    passed: tuple[float, ...] = ()
+    flanked: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class OrderPole:
+    """A pole that orders ask for: ``frequency_hz``, ``damping``, the ``channels`` that show it and its ``proof``."""
+
+    frequency_hz: float
+    damping: float
+    channels: tuple[str, ...]
+    proof: Proof
+
+
+def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles, number: int) -> OrderPole:
+    """Pole ``number`` of ``poles`` with the orders that prove it; ``blocks`` as ``projected`` with all poles."""
+    f, zeta = poles.values[number].tolist()
+    reach = ORDER_MODES.within_widths * zeta
+    rows: dict[float, int] = {}
+    ends: list[float] = []
+    shown: list[str] = []
+    located, passed, flanked = set[float](), set[float](), set[float]()
+    for block, part in zip(blocks, projected, strict=True):
+        seen, shows = block.rows, residue_chances(block, part, number) <= ORDER_MODES.proof_chance
+        if block.scatter > ORDER_RESPONSES.most_scatter or not shows.any():
+            continue
+        shown += [name for name, yes in zip(seen.channels, shows, strict=True) if yes]
+        within = int(np.count_nonzero(np.abs(seen.frequency_hz / f - 1.0) <= reach))
+        rows[seen.order] = max(within, rows.get(seen.order, 0))
+        ends += seen.ends_hz
+        if (1.0 - reach) * seen.ends_hz[0] <= f <= (1.0 + reach) * seen.ends_hz[1]:
+            passed.add(seen.order)
+            # the block alone finds the pole where it is: one step from there is small, and its error too
+            step, error = _step(block, part, poles, number)
+            if error <= ORDER_MODES.located_widths * zeta and abs(step) <= ORDER_MODES.agrees_sigmas * error:
+                located.add(seen.order)
+            if flanks_show(block, poles, number):
+                flanked.add(seen.order)
+    if not rows:
+        return OrderPole(f, zeta, (), Proof())
+    proof = Proof(
+        tuple(sorted(rows)),
+        max(rows.values()),
+        sum(rows.values()),
+        (min(ends), max(ends)),
+        located=len(located),
+        passed=tuple(sorted(passed)),
+        flanked=tuple(sorted(flanked)),
+    )
+    return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
+
+
+def _step(block: Block, part: Projected, poles: Poles, number: int) -> tuple[float, float]:
+    """Step in ln f by which ``block`` alone would move pole ``number``, and its error; infinite where it cannot say."""
+    if part.degrees_of_freedom < 2 or number not in part.reached:
+        return np.inf, np.inf
+    slopes = jacobian(block, poles, part)[:, 2 * number : 2 * number + 2]
+    information = slopes.T @ slopes
+    if np.linalg.cond(information) > 1e12:
+        return np.inf, np.inf
+    inverse = np.linalg.inv(information)
+    step = float((inverse @ slopes.T @ as_real(part.left, block))[0])
+    return step, float(np.sqrt(inverse[0, 0] * max(part.chi2 / part.degrees_of_freedom, 1.0)))
+
+
+def flanks_show(block: Block, poles: Poles, number: int) -> bool:
+    """Whether at held speeds the flanks of pole ``number`` of ``poles`` in ``block`` prove it without its peak.
+
+    A force that differs at one speed or two makes a peak, but no flanks: a resonance adds 1 / (f² − ν²) to an order on
+    both sides, far beyond its width, with the other sign above it (Ewins 2000, §2.4). Rows within some widths, and the
+    nearest ones, are left out; what is left must ask for the mode, and place it among those. Squares have
+    no sign and prove nothing so.
+    """
+    if block.rows.power:
+        return False
+    apart = block.rows.frequency_hz / float(poles.frequency_hz[number]) - 1.0
+    away = np.abs(apart)
+    nearest = float(np.sort(away)[ORDER_MODES.peak_rows - 1 : ORDER_MODES.peak_rows].sum())
+    reach = max(ORDER_MODES.within_widths * float(poles.damping[number]), nearest)
+    at_peak = away <= reach
+    if min(np.count_nonzero(~at_peak & side) for side in (apart < 0.0, apart > 0.0)) < ORDER_MODES.fewest_flank:
+        return False
+    flanks = replace(block, rows=replace(block.rows, error=np.where(at_peak, np.inf, block.rows.error)))
+    part = project(flanks, poles)
+    if not (residue_chances(flanks, part, number) <= ORDER_MODES.proof_chance).any():
+        return False
+    step, error = _step(flanks, part, poles, number)
+    return bool(Z95 * error <= reach and abs(step) <= ORDER_MODES.agrees_sigmas * error)
+
+
+def residue_chances(block: Block, part: Projected, number: int) -> Floats:
+    """Chances (C,) that the residue of pole ``number`` in ``block`` is so large without the mode (F test).
+
+    ``part``: the block as projected.
+    """
+    from scipy.special import fdtrc
+
+    place = np.flatnonzero(part.reached == number)
+    size, per = len(block.rows.channels), block.rows.columns_per_mode
+    if not len(place) or part.degrees_of_freedom < size:
+        return np.ones(size)
+    at = block.degree + 1 + per * int(place[0]) + np.arange(per)
+    value, spread = part.linear[:, at], part.covariance[:, at[:, None], at]
+    squared = np.einsum("ci,cij,cj->c", value.conj(), np.linalg.pinv(spread, hermitian=True), value).real
+    scale = max(part.chi2 / part.degrees_of_freedom, 1.0)
+    return np.asarray(fdtrc(2.0, part.degrees_of_freedom / size, squared / 2.0 / scale))
+
+
+def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles, *, fixed: int) -> Floats:
+    """Covariance of (f_1, ζ_1, f_2, …) of the ``poles`` after the ``fixed`` ones, which ``blocks`` tell.
+
+    Curvature, and scores as they are seen to scatter (White 1982). Channels are correlated, and so are speeds side by
+    side where the law of a force is not quite that of the fit: the scores of neighbours count together (Newey and West
+    1987). Where a mode beside is missing, or one stands for two, each order and channel asks for a pole of its own, by
+    its share in them: the scores of each count together (Liang and Zeger 1986). Each where that makes more of them.
+    ``parts`` are the blocks as projected with the poles.
+    """
+    own = slice(2 * fixed, 2 * len(poles))
+    size = own.stop - own.start
+    orders: list[Cell] = []
+    alone: list[Cell] = []
+    inner, beside = np.zeros((size, size)), np.zeros((size, size))
+    for block, part in zip(blocks, parts, strict=True):
+        if block.scatter > ORDER_RESPONSES.most_scatter or part.degrees_of_freedom < 1:
+            continue
+        seen = block.rows
+        rows = jacobian(block, poles, part)[:, own].reshape(seen.parts, *seen.amplitude.shape, size)
+        spare = seen.parts * int(seen.counts.sum()) / part.degrees_of_freedom
+        left = np.stack([part.left.real] if seen.power else [part.left.real, part.left.imag])
+        norm = np.maximum(np.linalg.norm(part.left, axis=1), 1e-300)
+        alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
+        inner += np.einsum("cd,pcki,pdkj->ij", alike, rows, rows)
+        hessian, score = np.einsum("pcki,pckj->cij", rows, rows), np.einsum("pcki,pck->ci", rows, left * np.sqrt(spare))
+        alone += map(Cell, hessian, score)
+        orders.append(Cell(np.sum(hessian, axis=0), np.sum(score, axis=0)))
+        scores = np.einsum("pcki,pck->ki", rows, left)[np.argsort(seen.speed_rpm)]
+        beside += spare * _scores_together(scores)
+    if not orders:
+        return np.zeros((size, size))
+    curved = np.sum([cell.hessian for cell in orders], axis=0)
+    inverse = np.asarray(np.linalg.pinv(curved, hermitian=True), dtype=np.float64)
+    covariance = inverse @ inner @ inverse
+    known = np.asarray(np.maximum(np.diag(covariance), 1e-300), dtype=np.float64)
+    scale = poles.values.ravel()[own]
+    more = np.sqrt(np.maximum(np.diag(inverse @ beside @ inverse) / known, 1.0))
+    for cells in (orders, alone):
+        more = np.maximum(more, disagreement(cells, inverse, known))
+    return np.asarray(covariance * np.outer(scale * more, scale * more))
+
+
+def _scores_together(scores: Floats) -> Floats:
+    """Sum of the products of ``scores`` (K, parameters) with themselves and their neighbours by speed."""
+    reach = min(len(scores) - 1, round(len(scores) ** (1.0 / 3.0)))
+    total = scores.T @ scores
+    for lag in range(1, reach + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        total += (1.0 - lag / (reach + 1.0)) * (product + product.T)
+    return np.asarray(total)

@@ -10,10 +10,16 @@ from scipy.special import chdtri, ndtri
 
 from crankorder.identify.found import ModalFit, OrderResponse, UnseenBound
 from crankorder.identify.modes.order_blocks import NUMBERS as ORDER_BLOCKS
-from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modes.order_responses import Block, Projected, force_slopes, with_scatter
-from crankorder.identify.modes.order_terms import resonance, resonance_slopes
+from crankorder.identify.modes.order_responses import (
+    Block,
+    Projected,
+    force_slopes,
+    resonance,
+    resonance_slopes,
+    with_scatter,
+)
+from crankorder.identify.modes.order_search import ORDER_MODES
 from crankorder.identify.modes.surface_fit import Poles, Problem, parameters_of
 from crankorder.orders.intervals import half_width, positive_interval
 from crankorder.quantities import Complexes, Floats

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crankorder.identify.modes.order_terms import resonance
+from crankorder.identify.modes.order_responses import resonance
 from crankorder.identify.modes.sweep_window import BEND_SPREAD, Solved, Window
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers

@@ -10,12 +10,11 @@ import xarray as xr
 
 from crankorder.identify.found import ModalFit, Mode, SweepFits
 from crankorder.identify.modes.order_blocks import TURNS_SURELY
-from crankorder.identify.modes.order_modes import is_shown
-from crankorder.identify.modes.pole_errors import side_by_side
-from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at
+from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at, side_by_side
 from crankorder.identify.modes.sweep_fit import MOST_VALUES
 from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole, sweep_fits
 from crankorder.identify.modes.sweep_window import Solved, spectra_of
+from crankorder.identify.modes.tones import is_shown
 from crankorder.orders.swept_tracks import SMOOTHING, followed_error
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers

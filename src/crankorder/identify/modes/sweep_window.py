@@ -20,7 +20,7 @@ from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 from scipy.linalg.blas import zherk
 
-from crankorder.identify.modes.order_terms import resonance
+from crankorder.identify.modes.order_responses import resonance
 from crankorder.quantities import Bools, Complexes, Floats
 
 FORCE_EXPONENT = 2.0
