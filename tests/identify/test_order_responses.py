@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modes.order_responses import Block, Rows, project, responses_of, with_best_law, with_scatter
-from crankorder.identify.modes.responses import held_amplitudes, with_and_without
+from crankorder.identify.modes.order_responses import Block, Rows, project, with_best_law, with_scatter
+from crankorder.identify.modes.responses import held_amplitudes, responses_of, with_and_without
 from made.found_lines import mode, poles_of
 
 TRUE = poles_of((mode(60.0, 0.02), mode(75.0, 0.01)))

@@ -75,9 +75,7 @@ def floor_with(line_hz, speed_rpm, size, seed):
     cells[0, :, at] += size
     ones, made = np.ones((2, len(speed_rpm))), np.ones((2, FREQUENCY_HZ.size))
     seen = cast(Any, SimpleNamespace(bin_hz=0.5))
-    return Floor(
-        FREQUENCY_HZ, made, made, ones, cells, averages * ones, ("A", "B"), speed_rpm, seen, made, ("", ""), cells
-    )
+    return Floor(FREQUENCY_HZ, made, made, ones, cells, averages * ones, ("A", "B"), speed_rpm, seen, made, cells)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from scipy.special import fdtrc, fdtri, gammainccinv
 from crankorder.fft.windows import window_named
 from crankorder.identify.modes.surface_fit import SpectralWindow, spectral_window
 from crankorder.orders.averages import median_of_known
-from crankorder.quantities import Bools, Floats, Ints
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "floor")
@@ -30,8 +30,7 @@ class Floor:
     spectra behind each; ``gain`` (C, K) of each speed; ``cells`` (C, K, F): psd of each speed at unit gain, NaN where
     masked; ``cell_averages`` (C, K). ``moving`` (C, K, F): the cells before those that stand out at few speeds were
     masked. ``seen``: how the window sees power. ``whole`` (C, F): mean psd with all lines.
-    ``quantity`` (C,): what each channel measures, "" where unknown. ``strong``: (frequency,
-    its error) of lines that are tones for sure.
+    ``strong``: (frequency, its error) of lines that are tones for sure.
     """
 
     frequency_hz: Floats
@@ -44,7 +43,6 @@ class Floor:
     speed_rpm: Floats
     seen: SpectralWindow
     whole: Floats
-    quantity: tuple[str, ...]
     moving: Floats
     strong: tuple[tuple[float, float], ...] = ()
 
@@ -87,7 +85,12 @@ def quiet_floor(campbell: xr.Dataset, orders: Orders, *, single: Sequence[tuple[
     if len(used) > 1 and averages.sum(axis=1).max(initial=0.0) < NUMBERS.fewest_averages:
         # padding adds bins but tells nothing: half a bin of the window apart they hold all that it lets through
         used = used[:: max(1, int(0.5 * seen.bin_hz / float(frequency[1] - frequency[0]) + 1e-6))]
-    psd, share = _settled(campbell, used)
+    psd = campbell["psd"].values.astype(np.float64)
+    share = np.ones(psd.shape)
+    if "settled_psd" in campbell:  # without start transients
+        bins = np.searchsorted(frequency, campbell["settled_frequency"].values - 1e-9)
+        psd[..., bins], share[..., bins] = campbell["settled_psd"].values, campbell["settled_share"].values
+    psd, share = psd[..., used], share[..., used]
     known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
     if not known.any():
         known = (averages > 0.0).any(axis=0)
@@ -113,18 +116,7 @@ def quiet_floor(campbell: xr.Dataset, orders: Orders, *, single: Sequence[tuple[
         _clip(psd, independent)
     mean, total = _mean(psd, independent)
     names = tuple(str(name) for name in campbell["channel"].values)
-    quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
-    return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity, unclipped)
-
-
-def _settled(campbell: xr.Dataset, used: Ints) -> tuple[Floats, Floats]:
-    """Densities (channels, speeds, ``used`` bins) without start transients, and the share of the frames they are of."""
-    psd = campbell["psd"].values.astype(np.float64)
-    share = np.ones(psd.shape)
-    if "settled_psd" in campbell:
-        bins = np.searchsorted(campbell["frequency"].values, campbell["settled_frequency"].values - 1e-9)
-        psd[..., bins], share[..., bins] = campbell["settled_psd"].values, campbell["settled_share"].values
-    return psd[..., used], share[..., used]
+    return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, unclipped)
 
 
 def _mean(psd: Floats, averages: Floats) -> tuple[Floats, Floats]:

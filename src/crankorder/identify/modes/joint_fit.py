@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -22,7 +22,7 @@ from crankorder.identify.found import (
 )
 from crankorder.identify.modes.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modes.order_blocks import blocks_of
-from crankorder.identify.modes.order_responses import Block, fitting, responses_of, with_best_law
+from crankorder.identify.modes.order_responses import Block, Blocks, with_best_law, with_scatter
 from crankorder.identify.modes.order_search import (
     ORDER_MODES,
     OrderPole,
@@ -32,7 +32,7 @@ from crankorder.identify.modes.order_search import (
     poles_of_orders,
     settled,
 )
-from crankorder.identify.modes.responses import floor_bound, least_seen
+from crankorder.identify.modes.responses import floor_bound, least_seen, responses_of
 from crankorder.identify.modes.search import (
     Band,
     bands_of,
@@ -51,11 +51,12 @@ from crankorder.identify.modes.surface_fit import (
     SurfaceFit,
     covariance_among,
     covariance_of_all,
+    fit_surface,
     pole_covariance,
     poles_at,
     side_by_side,
 )
-from crankorder.identify.modes.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
+from crankorder.identify.modes.sweep_modes import poles_of, unlike, with_sweep_modes
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.identify.modes.tones import is_shown, tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modes.whirl import (
@@ -114,8 +115,7 @@ def modal_fit(
     known, covariance = _known(fitted, swept)
     both, most = side_by_side([covariance, spread]), 0 if swept.poles else None
     blocks, extra, ended = poles_of_orders(held, known.joined(fixed), both, settings=settings, most_poles=most)
-    of_orders = poles_at((pole.frequency_hz, pole.damping) for pole in extra)
-    of_orders = of_orders.chosen(of_orders.rank)
+    of_orders = poles_at((pole.frequency_hz, pole.damping) for pole in extra).rising
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(local, fitted, blocks, fixed.joined(of_orders)) for local in fitted]
     known, _ = _known(fitted, swept)
@@ -125,7 +125,7 @@ def modal_fit(
     if floor is not None:
         proof = dict(zip(known.frequency_hz.tolist(), by_orders.proofs, strict=False))
         by_floor, kept = _found(fitted, floor, proof, settings)
-    by_floor, kept = with_sweep_modes(*modes_unlike(by_floor, kept, swept.poles), swept.poles, settings)
+    by_floor, kept = with_sweep_modes(by_floor, kept, swept.poles, settings)
     bounds = [floor_bound(local.problem, local.fit.model, poles=local.own_modes, settings=settings) for local in fitted]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     excluded = partial(
@@ -170,12 +170,13 @@ def _left(
 
 def _known(fitted: list[Fitted], swept: SweepFits) -> tuple[Poles, Floats]:
     """Poles of all bands that are neither tones nor those of ``swept``, and covariance of their (f_1, ζ_1, f_2, …)."""
-    covariance = [
-        covariance_among(pole_covariance(local.problem, local.fit, scatter=local.scatter), np.flatnonzero(local.own))
-        for local in fitted
-    ]
-    own = reduce(Poles.joined, (local.own_modes for local in fitted), NO_POLES)
-    return poles_unlike(own, side_by_side(covariance), swept.poles)
+    parts, own = list[Floats](), NO_POLES
+    for local in fitted:
+        covariance = pole_covariance(local.problem, local.fit, scatter=local.scatter)
+        parts.append(covariance_among(covariance, np.flatnonzero(local.own)))
+        own = own.joined(local.own_modes)
+    kept = np.flatnonzero(unlike(own, side_by_side(parts), swept.poles))
+    return own.chosen(kept), covariance_among(side_by_side(parts), kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,14 +204,24 @@ class Fitted:
         return np.array([dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz])
 
 
-def _with_orders(local: Fitted, every: list[Fitted], blocks: tuple[Block, ...], fixed: Poles) -> Fitted:
-    """The fit of a band together with the orders that sweep through its modes; other bands stay as they are."""
+def _with_orders(local: Fitted, every: list[Fitted], blocks: Sequence[Block], fixed: Poles) -> Fitted:
+    """Joint fit of a band with those of ``blocks`` that sweep through its modes and agree with them.
+
+    Each counts by its errors and the scatter that the poles leave, with ``fixed`` ones and other bands' among them.
+    """
     if not blocks or not len(local.own_modes):
         return local
-    for other in every:
-        if other is not local:
-            fixed = fixed.joined(other.own_modes.chosen(~local.band.holds(other.own_modes)))
-    problem, fit = fitting(replace(local.problem, others=None), local.fit, blocks, fixed=fixed)
+    for other in (other for other in every if other is not local):
+        fixed = fixed.joined(other.own_modes.chosen(~local.band.holds(other.own_modes)))
+    problem, fit = replace(local.problem, others=None), local.fit
+    blocks = [block for block in blocks if len(block.reached(fit.poles)) or not len(fixed)]
+    for _ in range(2):
+        blocks = [with_scatter(block, fit.poles.joined(fixed))[0] for block in blocks]
+        good = tuple(block for block in blocks if block.tells)
+        if not good:
+            return replace(local, problem=replace(problem, others=None), fit=fit)
+        problem = replace(problem, others=Blocks(good, fixed))
+        fit = fit_surface(problem, fit.poles, start=fit.model, steps=10)
     return replace(local, problem=problem, fit=fit)
 
 
@@ -226,51 +237,45 @@ def _with_order_modes(
 
     ``along``: blocks of sweeps; ``excluded`` says what blocks leave open beside poles.
     """
-    extra = by_orders.found
-    every = kept.joined(poles_at((pole.frequency_hz, pole.damping) for pole in extra))
+    every = kept.joined(poles_at((pole.frequency_hz, pole.damping) for pole in by_orders.found))
     blocks = (*by_orders.blocks, *(with_best_law(block, every) for block in along))
-    said = [
-        mode_of(pole, covariance_among(by_orders.covariance, [k]), every, settings=settings)
-        for k, pole in enumerate(extra)
-    ]
-    own = [k for k, mode in enumerate(said) if mode is not None]
-    more = [mode for mode in said if mode is not None]
+    said = {
+        k: mode_of(pole, covariance_among(by_orders.covariance, [k]), every, settings=settings)
+        for k, pole in enumerate(by_orders.found)
+    }
+    own = [k for k, mode in said.items() if mode is not None]
+    more = [mode for mode in said.values() if mode is not None]
     parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
+    known = kept.joined(poles_at((mode.frequency_hz, mode.damping_ratio) for mode in more))
     unknown = [tone for tone in fit.tones if tone.kind == "tone" and not any(is_shown(tone, mode) for mode in more)]
-    known = kept.joined(_poles_of(more))
     for tone in unknown:
         if orders := orders_raised(blocks, known, tone.frequency_hz):
             mode, part = tone_as_mode(tone, orders, settings=settings)
             more.append(mode)
             parts.append(part)
-    kept = kept.joined(_poles_of(more))
     proven = [mode.frequency_ends for mode in fit.modes if mode.reached_by and not mode.undecided]
 
-    def within(tone: Tone) -> bool:
-        return tone.kind == "tone" and any(low <= tone.frequency_hz <= high for low, high in proven)
+    def is_mode(tone: Tone) -> bool:
+        within = tone.kind == "tone" and any(low <= tone.frequency_hz <= high for low, high in proven)
+        return within or any(is_shown(tone, mode) for mode in more)
 
+    kept = kept.joined(poles_at((mode.frequency_hz, mode.damping_ratio) for mode in more))
     modes, rank = (*fit.modes, *more), kept.rank
-    poles = kept.chosen(rank)
     return replace(
         fit,
         modes=tuple(modes[k] for k in rank.tolist()),
-        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more) and not within(tone)),
+        tones=tuple(tone for tone in fit.tones if not is_mode(tone)),
         covariance=covariance_among(side_by_side(parts), rank),
-        responses=responses_of(blocks, poles),
-        unseen=excluded(blocks, poles),
+        responses=responses_of(blocks, kept.rising),
+        unseen=excluded(blocks, kept.rising),
     )
-
-
-def _poles_of(modes: Sequence[Mode]) -> Poles:
-    return poles_at((mode.frequency_hz, mode.damping_ratio) for mode in modes)
 
 
 def _found(
     fitted: list[Fitted], floor: Floor, proofs: dict[float, Proof], settings: IdentifySettings
 ) -> tuple[ModalFit, Poles]:
     """The fits of all bands in the words of identification, with the orders' ``proofs`` by frequency; their poles."""
-    shape = np.full(floor.psd.shape, np.nan)
-    smooth = np.empty(floor.psd.shape)
+    shape, smooth = np.full(floor.psd.shape, np.nan), np.empty(floor.psd.shape)
     still = tuple(f for f, _ in floor.strong)
     for local in fitted:
         own = slice(local.band.first, local.band.last)
@@ -291,22 +296,20 @@ def _found(
         numbers: list[int] = []
         for number in np.flatnonzero(~hidden_poles(problem, fit) & fit.poles.within(local.band.range_hz)).tolist():
             f, error = float(fit.poles.frequency_hz[number]), float(np.sqrt(covariance[2 * number, 2 * number]))
-            if fit.poles.tone[number]:
-                if floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]:
-                    part = fit.part(number)
-                    rest = smooth.copy()
-                    at = np.searchsorted(floor.frequency_hz, problem.frequency_hz[0]) + np.arange(part.shape[1])
-                    rest[:, at] = np.maximum(smooth[:, at] - part, 0.02 * smooth[:, at])
-                    tones.append(tone_of(f, error, floor, rest, settings=settings))
+            if not floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]:
                 continue
-            proof = proofs.get(f, Proof())
-            mode = _mode(number, local, floor, covariance, strength[number], still, proof, settings)
-            if mode is not None:
+            if fit.poles.tone[number]:
+                part, rest = fit.part(number), smooth.copy()
+                at = np.searchsorted(floor.frequency_hz, problem.frequency_hz[0]) + np.arange(part.shape[1])
+                rest[:, at] = np.maximum(smooth[:, at] - part, 0.02 * smooth[:, at])
+                tones.append(tone_of(f, error, floor, rest, settings=settings))
+            elif mode := _mode(
+                number, local, floor, covariance, strength[number], still, proofs.get(f, Proof()), settings
+            ):
                 modes.append(mode)
                 numbers.append(number)
-        own_modes = np.array(numbers, dtype=np.int64)
-        parts.append(covariance_among(covariance, own_modes))
-        kept = kept.joined(fit.poles.chosen(own_modes))
+        parts.append(covariance_among(covariance, numbers))
+        kept = kept.joined(fit.poles.chosen(np.array(numbers, dtype=np.int64)))
     tones = sorted((tone for tone in tones if tone.amplitude), key=lambda tone: tone.frequency_hz)
     joined = ModalFit(tuple(modes), with_one_mains(tones, settings=settings), side_by_side(parts))
     return replace(joined, frequency_hz=floor.frequency_hz, floor_psd=floor.psd, fitted_psd=shape), kept
@@ -346,8 +349,7 @@ def _mode(
     problem, fit = local.problem, local.fit
     f, zeta = fit.poles.values[number].tolist()
     error, zeta_error = (float(np.sqrt(covariance[2 * number + k, 2 * number + k])) for k in (0, 1))
-    outside = not floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]
-    if outside or zeta - 3.0 * zeta_error > settings.max_damping_ratio or zeta > 1.5 * settings.max_damping_ratio:
+    if zeta - 3.0 * zeta_error > settings.max_damping_ratio or zeta > 1.5 * settings.max_damping_ratio:
         return None
     at = int(np.argmin(np.abs(problem.frequency_hz - f)))
     whole = np.maximum(fit.without_lines(problem)[:, at], np.finfo(np.float64).tiny)  # orders may mask this bin
@@ -356,9 +358,8 @@ def _mode(
     prominence = float(lifted.max())
     if prominence < settings.mode_prominence_db and not proof.orders:
         return None
-    names = tuple(name for name, is_shown in zip(floor.channels, shown, strict=True) if is_shown)
-    if not names:
-        names = (floor.channels[int(np.argmax(lifted))],)
+    shown[int(np.argmax(lifted))] |= not shown.any()
+    names = tuple(np.array(floor.channels)[shown].tolist())
     words = f"{prominence:.1f} dB over what the floor is without it, in {len(names)} of {len(floor.channels)} channels"
     if proof.orders:
         words += f"; {proven_by(proof)}"

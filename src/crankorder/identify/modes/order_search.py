@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtrc
 
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import (
@@ -23,9 +23,9 @@ from crankorder.identify.modes.order_responses import (
     with_best_law,
     with_scatter,
 )
-from crankorder.identify.modes.surface_fit import Cell, Poles, disagreement, poles_at
+from crankorder.identify.modes.surface_fit import Cell, Poles, disagreement, neighbours_together, poles_at
 from crankorder.orders.intervals import Z95
-from crankorder.quantities import Complexes, Floats, Ints
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "order_search")
@@ -59,25 +59,18 @@ class Prior:
     @classmethod
     def of(cls, poles: Poles, covariance: Floats) -> Prior:
         """Of ``poles`` whose (f_1, ζ_1, f_2, …) have the ``covariance`` (2 P, 2 P)."""
-        place = np.log(poles.values)
-        spread = np.sqrt(np.maximum(np.diag(covariance).reshape(-1, 2), 0.0)) / np.exp(place)
+        spread = np.sqrt(np.maximum(np.diag(covariance).reshape(-1, 2), 0.0)) / poles.values
         # what the floor takes for random may have rung from a start: its widths are not believed further
-        least = np.stack(
-            [NUMBERS.model_error_share * poles.damping, np.full(len(poles), NUMBERS.model_error_share)], axis=1
-        )
-        return cls(place, np.hypot(spread, least))
+        least = NUMBERS.model_error_share * np.stack([poles.damping, np.ones(len(poles))], axis=1)
+        return cls(np.log(poles.values), np.hypot(spread, least))
 
-    def rows(self, poles: Poles) -> tuple[Floats, Floats]:
-        """Jacobian (2 P, 2 M) and residual (2 P,) of ``poles``, of which these are the first."""
-        count = len(self.place)
-        now = np.log(poles.values)[:count]
-        slopes = np.zeros((2 * count, 2 * len(poles)))
-        slopes[np.arange(2 * count), np.arange(2 * count)] = 1.0 / self.error.ravel()
-        return slopes, ((self.place - now) / self.error).ravel()
+    def left(self, poles: Poles) -> Floats:
+        """By how many errors (2 P,) ``poles``, of which these are the first, differ from it."""
+        return np.asarray(((self.place - np.log(poles.values)[: len(self.place)]) / self.error).ravel())
 
     def misfit(self, poles: Poles) -> float:
         """Sum of the squares by which ``poles`` differ from it."""
-        return float(np.sum(self.rows(poles)[1] ** 2))
+        return float(np.sum(self.left(poles) ** 2))
 
 
 NO_PRIOR = Prior(np.zeros((0, 2)), np.zeros((0, 2)))
@@ -111,7 +104,7 @@ def poles_of_orders(
     state = Fitted.of([with_best_law(block, known) for block in asked], known, prior)
     if len(known) and most:
         state = state.moved()
-    tried = Tried.of(asked)
+    tried = _starts(asked)
     starts, more = NUMBERS.most_starts, state if most else None
     while more is not None and starts > 0 and len(state.poles) - len(known) < most:
         state = more
@@ -143,8 +136,8 @@ def settled(blocks: Sequence[Block], known: Poles, candidates: Sequence[OrderPol
     Channels share what an order's force varies by: their residuals are as alike as they are seen to be. Poles that came
     to lie beside another one and save no more than the false-alarm level ``chance`` would let noise save are left out.
     """
-    free = poles_at((pole.frequency_hz, pole.damping) for pole in candidates)
-    state = Fitted.of(blocks, known.joined(free.chosen(free.rank)), NO_PRIOR)
+    free = poles_at((pole.frequency_hz, pole.damping) for pole in candidates).rising
+    state = Fitted.of(blocks, known.joined(free), NO_PRIOR)
     if len(free):
         state = state.moved(fixed=len(known))
     every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
@@ -207,9 +200,8 @@ class Fitted:
         for block, part in zip(self.blocks, self.projected, strict=True):
             left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
             rows = block.rows
-            size = np.sqrt(rows.size) if rows.power else rows.size
             share = left / np.maximum(rows.size, 1e-300) * (0.5 if rows.power else 1.0)
-            counts = size > NUMBERS.matters_share * size.max()
+            counts = rows.linear_size > NUMBERS.matters_share * rows.linear_size.max()
             if clear:
                 counts &= left > NUMBERS.clear_sigmas * block.noise * rows.error
             shares.append(np.where(counts, share, 0.0))
@@ -223,7 +215,7 @@ class Fitted:
             if (after.scatter, after.noise) == (before.scatter, before.noise) == (ORDER_TERMS.least_scatter, 1.0):
                 saved += few.chi2 - many.chi2  # nothing but known errors
                 continue
-            share = max(many.degrees_of_freedom, 0) / (after.rows.parts * int(after.rows.counts.sum()))
+            share = max(many.degrees_of_freedom, 0) / after.rows.numbers
             saved += (deviance_of(before, few) - deviance_of(after, many)) * share
         return saved
 
@@ -243,23 +235,15 @@ def _refitted_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
     return with_best_law(block, poles)
 
 
-@dataclass(frozen=True, eq=False)
-class Tried:
-    """Starts for a pole: ``frequency_hz`` and ``damping`` (S,)."""
-
-    frequency_hz: Floats
-    damping: Floats
-
-    @classmethod
-    def of(cls, blocks: Sequence[Block]) -> Tried:
-        """Starts as far as the rows of any of ``blocks`` reach."""
-        low, high = min(block.rows.ends_hz[0] for block in blocks), max(block.rows.ends_hz[1] for block in blocks)
-        counts = [max(2, int(np.ceil(np.log(1.06 * high / low) / zeta))) for zeta in TRIED_DAMPING]
-        frequency = [np.geomspace(0.97 * low, 1.03 * high, count) for count in counts]
-        return cls(np.concatenate(frequency), np.repeat(TRIED_DAMPING, counts))
+def _starts(blocks: Sequence[Block]) -> Poles:
+    """Poles to start from, as far as the rows of any of ``blocks`` reach."""
+    low, high = min(block.rows.ends_hz[0] for block in blocks), max(block.rows.ends_hz[1] for block in blocks)
+    counts = [max(2, int(np.ceil(np.log(1.06 * high / low) / zeta))) for zeta in TRIED_DAMPING]
+    frequency = np.concatenate([np.geomspace(0.97 * low, 1.03 * high, count) for count in counts])
+    return Poles(frequency, np.repeat(TRIED_DAMPING, counts), np.zeros(len(frequency), dtype=bool))
 
 
-def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> tuple[Fitted | None, int]:
+def _more(state: Fitted, tried: Poles, *, chance: float, most_damping: float) -> tuple[Fitted | None, int]:
     """``state`` with one or a few poles more, or None where none is asked for; and how many starts were followed.
 
     Where one does not save enough others are tried with it: each may hide in what they leave.
@@ -273,15 +257,13 @@ def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) ->
         if trial is None:
             break
         more = trial
-        if (
-            more.saves(state) > _limit(more.blocks, chance, number)
-            and more.accounts_for(state) > ORDER_MODES.felt_share
-        ):
+        enough = more.saves(state) > _limit(more.blocks, chance, number)
+        if enough and more.accounts_for(state) > ORDER_MODES.felt_share:
             return more, followed
     return None, followed
 
 
-def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> tuple[Fitted | None, int]:
+def _one_more(state: Fitted, tried: Poles, *, most_damping: float) -> tuple[Fitted | None, int]:
     """``state`` with the one pole more that saves most, None where no start promises anything; and starts followed."""
     gains = _gains(state, tried)
     best, most, followed = None, 0.0, 0
@@ -306,8 +288,7 @@ def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) ->
     More than noise beside the ``poles`` makes them, with a light resonance tried there; or to twice what they are on
     both sides, where rows are too far apart for that.
     """
-    tried = Tried(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
-    raised = []
+    tried, raised = poles_at((frequency_hz, zeta) for zeta in LIGHT), []
     for block in blocks:
         gains = _gains(Fitted.of((block,), poles, NO_PRIOR), tried)
         proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.rows.channels), ORDER_MODES.proof_chance))
@@ -331,7 +312,7 @@ def _stands_out(rows: Rows, frequency_hz: float) -> bool:
     return bool((size[:, near].max(axis=1) > NUMBERS.rises_ratio * size[:, sides].max(axis=1)).any())
 
 
-def _gains(state: Fitted, tried: Tried) -> Floats:
+def _gains(state: Fitted, tried: Poles) -> Floats:
     """What a pole at each start would save, beyond what noise saves, summed over orders and channels."""
     total = np.zeros(len(tried.frequency_hz))
     for block, part in zip(state.blocks, state.projected, strict=True):
@@ -387,12 +368,17 @@ def _explained(columns: Complexes, weight: Floats, part: Projected, per: int) ->
 
 def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:
     """``free`` poles where ``joint`` and ``prior`` agree best, by Levenberg–Marquardt steps in ln f and ln ζ."""
-    factor = 1e-2
-    least = np.minimum(NUMBERS.least_damping, free.damping)
-    jacobians, residuals, cost = _evaluated(joint, free, prior)
+
+    def normal(poles: Poles) -> tuple[Floats, Floats]:
+        """Normal matrix (2 M, 2 M) and right side (2 M,)."""
+        jacobians, residuals = joint.evaluate(poles)
+        by_prior = np.eye(prior.error.size, 2 * len(poles)) / prior.error.reshape(-1, 1)
+        slopes, left = np.concatenate([*jacobians, by_prior]), np.concatenate([*residuals, prior.left(poles)])
+        return slopes.T @ slopes, slopes.T @ left
+
+    factor, least = 1e-2, np.minimum(NUMBERS.least_damping, free.damping)
+    (hessian, slope), cost = normal(free), joint.misfit(free) + prior.misfit(free)
     for _ in range(STEPS):
-        hessian = sum((j.T @ j for j in jacobians), np.zeros((2 * len(free),) * 2))
-        slope = sum((j.T @ r for j, r in zip(jacobians, residuals, strict=True)), np.zeros(2 * len(free)))
         scale = np.maximum(np.diag(hessian), 1e-9 * np.trace(hessian) + 1e-300)
         by = np.linalg.solve(hessian + factor * np.diag(scale), slope).reshape(-1, 2)
         shift = np.clip(by[:, 0], -2.0 * free.damping, 2.0 * free.damping)
@@ -400,22 +386,15 @@ def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:
         trial = Poles(free.frequency_hz * np.exp(shift), damping, free.tone)
         gained = cost - joint.misfit(trial) - prior.misfit(trial)
         if gained >= 0.0:
-            free = trial
-            factor = max(0.2 * factor, 1e-6)
+            free, cost, factor = trial, cost - gained, max(0.2 * factor, 1e-6)
             if gained < SETTLED:
                 break
-            jacobians, residuals, cost = _evaluated(joint, free, prior)
+            hessian, slope = normal(free)
         else:
             factor *= 8.0
             if factor > 1e4:
                 break
     return free
-
-
-def _evaluated(joint: Blocks, poles: Poles, prior: Prior) -> tuple[list[Floats], list[Floats], float]:
-    jacobians, residuals, cost = joint.evaluate(poles)
-    slopes, left = prior.rows(poles)
-    return [*jacobians, slopes], [*residuals, left], cost + float(np.sum(left**2))
 
 
 def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
@@ -434,7 +413,9 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     neighbours that account for little together: each may be large and make up for the others.
     """
     first = number = len(state.prior.place)
-    for group in _neighbours(state.poles, first):
+    rank = first + np.argsort(state.poles.frequency_hz[first:], kind="stable")
+    gaps = np.flatnonzero(np.diff(np.log(state.poles.frequency_hz[rank])) > ORDER_MODES.side_by_side_share) + 1
+    for group in (side_by_side for side_by_side in np.split(rank, gaps) if len(side_by_side) > 1):
         alone = _refitted(state, state.poles.chosen(~np.isin(np.arange(len(state.poles)), group)))
         if state.accounts_for(alone) <= ORDER_MODES.felt_share:
             return _pruned(alone, chance=chance)
@@ -453,13 +434,6 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
 def _refitted(state: Fitted, poles: Poles) -> Fitted:
     """``state`` with these ``poles`` where they and the laws of the forces fit best."""
     return Fitted.of([with_best_law(block, poles) for block in state.blocks], poles, state.prior).moved()
-
-
-def _neighbours(poles: Poles, first: int) -> list[Ints]:
-    """Numbers of the ``poles`` from ``first`` on that lie side by side, two or more."""
-    rank = first + np.argsort(poles.frequency_hz[first:], kind="stable")
-    gaps = np.flatnonzero(np.diff(np.log(poles.frequency_hz[rank])) > ORDER_MODES.side_by_side_share) + 1
-    return [group for group in np.split(rank, gaps) if len(group) > 1]
 
 
 def _without(state: Fitted, number: int, *, chance: float) -> tuple[Fitted, bool]:
@@ -519,9 +493,9 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
     located, passed, flanked = set[float](), set[float](), set[float]()
     for block, part in zip(blocks, projected, strict=True):
         seen, shows = block.rows, residue_chances(block, part, number) <= ORDER_MODES.proof_chance
-        if block.scatter > ORDER_RESPONSES.most_scatter or not shows.any():
+        if not block.tells or not shows.any():
             continue
-        shown += [name for name, yes in zip(seen.channels, shows, strict=True) if yes]
+        shown += np.array(seen.channels)[shows].tolist()
         within = int(np.count_nonzero(np.abs(seen.frequency_hz / f - 1.0) <= reach))
         rows[seen.order] = max(within, rows.get(seen.order, 0))
         ends += seen.ends_hz
@@ -535,15 +509,9 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
                 flanked.add(seen.order)
     if not rows:
         return OrderPole(f, zeta, (), Proof())
-    proof = Proof(
-        tuple(sorted(rows)),
-        max(rows.values()),
-        sum(rows.values()),
-        (min(ends), max(ends)),
-        located=len(located),
-        passed=tuple(sorted(passed)),
-        flanked=tuple(sorted(flanked)),
-    )
+    orders, passing, by_flanks = (tuple(sorted(some)) for some in (rows, passed, flanked))
+    span = min(ends), max(ends)
+    proof = Proof(orders, max(rows.values()), sum(rows.values()), span, len(located), passing, by_flanks)
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
 
 
@@ -557,7 +525,7 @@ def _step(block: Block, part: Projected, poles: Poles, number: int) -> tuple[flo
         return np.inf, np.inf
     inverse = np.linalg.inv(information)
     step = float((inverse @ slopes.T @ as_real(part.left, block))[0])
-    return step, float(np.sqrt(inverse[0, 0] * max(part.chi2 / part.degrees_of_freedom, 1.0)))
+    return step, float(np.sqrt(inverse[0, 0] * part.beyond_errors))
 
 
 def flanks_show(block: Block, poles: Poles, number: int) -> bool:
@@ -590,8 +558,6 @@ def residue_chances(block: Block, part: Projected, number: int) -> Floats:
 
     ``part``: the block as projected.
     """
-    from scipy.special import fdtrc
-
     place = np.flatnonzero(part.reached == number)
     size, per = len(block.rows.channels), block.rows.columns_per_mode
     if not len(place) or part.degrees_of_freedom < size:
@@ -599,8 +565,7 @@ def residue_chances(block: Block, part: Projected, number: int) -> Floats:
     at = block.degree + 1 + per * int(place[0]) + np.arange(per)
     value, spread = part.linear[:, at], part.covariance[:, at[:, None], at]
     squared = np.einsum("ci,cij,cj->c", value.conj(), np.linalg.pinv(spread, hermitian=True), value).real
-    scale = max(part.chi2 / part.degrees_of_freedom, 1.0)
-    return np.asarray(fdtrc(2.0, part.degrees_of_freedom / size, squared / 2.0 / scale))
+    return np.asarray(fdtrc(2.0, part.degrees_of_freedom / size, squared / 2.0 / part.beyond_errors))
 
 
 def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles, *, fixed: int) -> Floats:
@@ -618,7 +583,7 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
     alone: list[Cell] = []
     inner, beside = np.zeros((size, size)), np.zeros((size, size))
     for block, part in zip(blocks, parts, strict=True):
-        if block.scatter > ORDER_RESPONSES.most_scatter or part.degrees_of_freedom < 1:
+        if not block.tells or part.degrees_of_freedom < 1:
             continue
         seen = block.rows
         rows = jacobian(block, poles, part)[:, own].reshape(seen.parts, *seen.amplitude.shape, size)
@@ -631,7 +596,8 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
         alone += map(Cell, hessian, score)
         orders.append(Cell(np.sum(hessian, axis=0), np.sum(score, axis=0)))
         scores = np.einsum("pcki,pck->ki", rows, left)[np.argsort(seen.speed_rpm)]
-        beside += spare * _scores_together(scores)
+        reach = min(len(scores) - 1, round(len(scores) ** (1.0 / 3.0)))
+        beside += spare * neighbours_together(scores, reach)
     if not orders:
         return np.zeros((size, size))
     curved = np.sum([cell.hessian for cell in orders], axis=0)
@@ -643,13 +609,3 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
     for cells in (orders, alone):
         more = np.maximum(more, disagreement(cells, inverse, known))
     return np.asarray(covariance * np.outer(scale * more, scale * more))
-
-
-def _scores_together(scores: Floats) -> Floats:
-    """Sum of the products of ``scores`` (K, parameters) with themselves and their neighbours by speed."""
-    reach = min(len(scores) - 1, round(len(scores) ** (1.0 / 3.0)))
-    total = scores.T @ scores
-    for lag in range(1, reach + 1):
-        product = scores[lag:].T @ scores[:-lag]
-        total += (1.0 - lag / (reach + 1.0)) * (product + product.T)
-    return np.asarray(total)

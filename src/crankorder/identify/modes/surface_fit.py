@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,9 @@ from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
 from crankorder.orders.intervals import Z95, half_widths
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
+
+if TYPE_CHECKING:
+    from crankorder.identify.modes.order_responses import Blocks
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "surface_fit")
 
@@ -139,16 +142,6 @@ LITTLE = 0.01
 """Deviance of a step that tells nothing: by a tenth of a standard error it moves what it moves."""
 
 
-class Others(Protocol):
-    """Further data that depend on the same poles."""
-
-    def misfit(self, poles: Poles) -> float:
-        """Sum of the squared residuals of ``poles``, in standard errors."""
-
-    def evaluate(self, poles: Poles) -> tuple[list[Floats], list[Floats], float]:
-        """Jacobians by (ln f, ln ζ) of all poles, residuals (in standard errors) and the sum of their squares."""
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Floors to be fitted: ``frequency_hz`` (F,), ``psd`` and ``averages`` (C, F; none where masked), ``background``.
@@ -162,7 +155,7 @@ class Problem:
     averages: Floats
     seen: SpectralWindow
     background: Floats
-    others: Others | None = None
+    others: Blocks | None = None
     n_lines: int = 0
 
 
@@ -189,8 +182,12 @@ class Poles:
 
         ``frequency_hz``: in Hz; ``damping``: their ratios.
         """
-        every = self.joined(poles_at([(frequency_hz, damping)]))
-        return every.chosen(every.rank)
+        return self.joined(poles_at([(frequency_hz, damping)])).rising
+
+    @property
+    def rising(self) -> Poles:
+        """The poles, lowest first."""
+        return self.chosen(self.rank)
 
     @property
     def rank(self) -> Ints:
@@ -220,11 +217,8 @@ class Poles:
         """Which (2 M,) of (ln f_1, ln ζ_1, …) a fit is free to move: not the damping of tones."""
         return np.stack([np.ones(len(self), dtype=bool), ~self.tone], axis=1).ravel()
 
-    def as_tone(self, number: int, is_tone: bool, *, width_hz: float) -> Poles:
-        """With number ``number`` a tone, or a mode of the half width ``width_hz``.
-
-        ``is_tone``: whether it is one.
-        """
+    def with_width(self, number: int, width_hz: float, *, is_tone: bool = False) -> Poles:
+        """With number ``number`` a mode of the half width ``width_hz``, or a tone (``is_tone``)."""
         tone, damping = self.tone.copy(), self.damping.copy()
         tone[number], damping[number] = is_tone, width_hz / self.frequency_hz[number]
         return Poles(self.frequency_hz, damping, tone)
@@ -241,8 +235,7 @@ def poles_at(values: Iterable[tuple[float, float]]) -> Poles:
 
 def parameters_of(numbers: ArrayLike) -> Ints:
     """Numbers (2 N,) among (f_1, ζ_1, f_2, …) of the parameters of the poles ``numbers`` (N,)."""
-    first = 2 * np.asarray(numbers, dtype=np.int64)
-    return np.stack([first, first + 1], axis=1).ravel()
+    return np.asarray(2 * np.asarray(numbers, dtype=np.int64)[:, None] + np.arange(2)).ravel()
 
 
 def covariance_among(covariance: Floats, numbers: ArrayLike) -> Floats:
@@ -270,12 +263,12 @@ class SurfaceFit:
     basis: Floats
     triangle: Floats
     left: Floats
-    others: Others | None
+    others: Blocks | None
 
     @cached_property
     def _further(self) -> tuple[Sequence[Floats], Sequence[Floats]]:
         """Jacobians and residuals of the other data."""
-        return self.others.evaluate(self.poles)[:2] if self.others is not None and len(self.poles) else ((), ())
+        return self.others.evaluate(self.poles) if self.others is not None and len(self.poles) else ((), ())
 
     @property
     def residual(self) -> tuple[Floats, ...]:
@@ -344,14 +337,15 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Floats, same: SurfaceFit
     else:
         own = pole_columns(problem.frequency_hz, poles.frequency_hz, poles.damping, problem.seen)
         columns, slopes = np.concatenate([own[0], problem.background]), own[1:]
-    weight = np.where(problem.averages > 0.0, np.sqrt(problem.averages) / weight_by, 0.0)
-    measured = weight * np.where(problem.averages > 0.0, problem.psd, 0.0)
+    used = problem.averages > 0.0
+    weight = np.where(used, np.sqrt(problem.averages) / weight_by, 0.0)
+    measured = weight * np.where(used, problem.psd, 0.0)
     q, triangles = np.linalg.qr((columns * weight[:, None]).swapaxes(1, 2))
     along = q.swapaxes(1, 2) @ measured[..., None]
     linear = _back_solved(triangles, along[..., 0])
     left = measured - (q @ along)[..., 0]
     model = np.maximum(linear @ columns, NUMBERS.smallest_model_share * np.nan_to_num(problem.psd))
-    model = np.where((problem.averages > 0.0) & (model > 0.0), model, 1.0)
+    model = np.where(used & (model > 0.0), model, 1.0)
     missed = float(gamma_deviance(problem.psd, problem.averages, model).sum())
     if problem.others is not None and len(poles):
         missed += problem.others.misfit(poles)
@@ -401,9 +395,8 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, 
         current = again
     if not len(poles):
         return current
-    factor, still, taken = 1e-3, 0, True
+    factor, still, taken, free = 1e-3, 0, True, poles.free
     for _ in range(steps):
-        free = poles.free
         hessian, slope = current.normal()
         hessian, slope = hessian[np.ix_(free, free)], slope[free]
         scale = np.maximum(np.diag(hessian), 1e-6 * np.trace(hessian) / len(hessian))
@@ -449,10 +442,9 @@ def _moved(poles: Poles, move: Floats, problem: Problem) -> Poles:
     shift = np.clip(by[:, 0], -reach, reach)
     low, high = 0.5 * problem.frequency_hz[0], 1.2 * problem.frequency_hz[-1]
     frequency = np.clip(poles.frequency_hz * np.exp(shift), low, high)
-    narrowest = np.minimum(
-        TONE_BINS * problem.seen.bin_hz / frequency, NUMBERS.widest_damping_ratio
-    )  # a bin may be all of a low frequency
-    damping = np.clip(poles.damping * np.exp(np.clip(by[:, 1], -1.2, 1.2)), narrowest, NUMBERS.widest_damping_ratio)
+    widest = NUMBERS.widest_damping_ratio
+    narrowest = np.minimum(TONE_BINS * problem.seen.bin_hz / frequency, widest)  # a bin may be all of a low frequency
+    damping = np.clip(poles.damping * np.exp(np.clip(by[:, 1], -1.2, 1.2)), narrowest, widest)
     return Poles(frequency, np.where(poles.tone, narrowest, damping), poles.tone)
 
 
@@ -480,16 +472,20 @@ def disagreement(cells: Sequence[Cell], inverse: Floats, known: Floats) -> Float
     share = np.maximum(share, 0.0) / np.maximum(share.sum(axis=0), 1e-300)
     influence -= share * influence.sum(axis=0)
     squared = np.where(share.sum(axis=0) > 0.0, np.sum(share**2, axis=0), 1.0)
-    scattered = np.sum(influence**2, axis=0) * np.minimum(
-        1.0 / np.maximum(1.0 - squared, 1e-9), POLE_ERRORS.most_for_few_ratio
-    )
-    excess = np.maximum(scattered - known, 0.0)
+    for_few = np.minimum(1.0 / np.maximum(1.0 - squared, 1e-9), POLE_ERRORS.most_for_few_ratio)
+    excess = np.maximum(np.sum(influence**2, axis=0) * for_few - known, 0.0)
     few = np.maximum(1.0 / squared - 1.0, 1.0)
     degrees_of_freedom = few / np.maximum(excess / (known + excess), 1e-6) ** 2
-    return np.asarray(
-        np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(degrees_of_freedom) / Z95, 1.0),
-        dtype=np.float64,
-    )
+    return np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(degrees_of_freedom) / Z95, 1.0)
+
+
+def neighbours_together(scores: Floats, reach: int) -> Floats:
+    """Sum (P, P) of the products of ``scores`` (N, P) with themselves and neighbours (Newey and West 1987)."""
+    total = scores.T @ scores
+    for lag in range(1, reach + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        total += (1.0 - lag / (reach + 1.0)) * (product + product.T)
+    return np.asarray(total)
 
 
 POINTS_PER_BIN = 4

@@ -52,23 +52,16 @@ def with_tones(
     """
     for number in range(len(fit.poles)):
         f = float(fit.poles.frequency_hz[number])
-        wide = not fit.poles.tone[number] and _is_wide(fit, number, problem, settings)
-        if wide or not fit.poles.within(own_hz)[number]:
+        if _is_wide(fit, number, problem, settings) or not fit.poles.within(own_hz)[number]:
             continue
-        tone, mode = both_ways(problem, fit, number)
-        if is_steady(floor, f) or (
-            not _width_is_seen(problem, tone, mode, f)
-            and (
-                _on_a_tone(f, fit, floor)
-                or widest_hz(problem, mode, number, tone.deviance) < NUMBERS.least_damping_ratio * f
-            )
-        ):
-            fit = tone
-        elif mode.deviance < tone.deviance or not fit.poles.tone[number]:
-            fit = mode
-        else:  # as narrow as any tone, but a mode may be so: half of what it may be at most
-            half = 0.5 * widest_hz(problem, tone, number, tone.deviance)
-            fit = evaluate(problem, tone.poles.as_tone(number, False, width_hz=half), tone.model)
+        tone = with_tone(problem, fit, number)
+        if not is_steady(floor, f):
+            least = NUMBERS.least_damping_ratio * f
+            if _width_is_seen(problem, tone, fit, f):
+                continue
+            if not _on_a_tone(f, fit, floor) and widest_hz(problem, fit, number, tone.deviance) >= least:
+                continue
+        fit = tone
     return fit
 
 
@@ -79,25 +72,20 @@ def tone_or_mode(problem: Problem, fit: SurfaceFit, number: int, *, settings: Id
     """
     if _is_wide(fit, number, problem, settings):
         return ""
-    tone, mode = both_ways(problem, fit, number)
-    f = float(fit.poles.frequency_hz[number])
-    if _width_is_seen(problem, tone, mode, f):
+    tone, f = with_tone(problem, fit, number), float(fit.poles.frequency_hz[number])
+    if _width_is_seen(problem, tone, fit, f):
         return ""
-    most = widest_hz(problem, mode, number, min(tone.deviance, mode.deviance)) / f
+    most = widest_hz(problem, fit, number, min(tone.deviance, fit.deviance)) / f
     return f"tone or mode: narrower than the frames resolve, its damping is none or at most {100.0 * most:.2g} %"
 
 
-def both_ways(problem: Problem, fit: SurfaceFit, number: int) -> tuple[SurfaceFit, SurfaceFit]:
-    """Fits with pole ``number`` of ``fit`` a tone, and a mode.
+def with_tone(problem: Problem, fit: SurfaceFit, number: int) -> SurfaceFit:
+    """Fit with pole ``number`` of ``fit`` a tone.
 
     ``problem``: the floors that were fitted.
     """
-    bin_hz = problem.seen.bin_hz
-    if fit.poles.tone[number]:
-        wide = fit.poles.as_tone(number, False, width_hz=NUMBERS.first_width_bins * bin_hz)
-        return fit, fit_surface(problem, wide, start=fit.model, steps=10)
-    none = fit.poles.as_tone(number, True, width_hz=NO_WIDTH * bin_hz)
-    return fit_surface(problem, none, start=fit.model, steps=10), fit
+    poles = fit.poles.with_width(number, NO_WIDTH * problem.seen.bin_hz, is_tone=True)
+    return fit_surface(problem, poles, start=fit.model, steps=10)
 
 
 def _on_a_tone(frequency_hz: float, fit: SurfaceFit, floor: Floor) -> bool:
@@ -131,7 +119,7 @@ def widest_hz(problem: Problem, fit: SurfaceFit, number: int, least: float) -> f
     for _ in range(MOST_WIDTHS):
         if width >= SURFACE_FIT.widest_damping_ratio * f:
             return float(width)
-        poles = fit.poles.as_tone(number, False, width_hz=width)
+        poles = fit.poles.with_width(number, width)
         if evaluate(problem, poles, fit.model).deviance > least + allowed:
             break
         width *= WIDER
@@ -230,15 +218,13 @@ def _moves(floor: Floor) -> bool:
 def _rows_that_show(frequency_hz: float, floor: Floor) -> Bools:
     """At which speeds the channel that shows a line at ``frequency_hz`` best has it: with a tenth of the most, or more.
 
-    A tone of a source of its own is there at all speeds, as large as ever; all where nothing can be compared.
+    A tone of a source of its own is there at all speeds, as large as ever.
     """
     at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
     inner = slice(max(0, at - NEAR_BINS), at + NEAR_BINS + 1)
     outer = np.r_[max(0, at - NUMBERS.beside_bins) : inner.start, inner.stop : at + NUMBERS.beside_bins]
     outer = outer[outer < floor.cells.shape[2]]
     cells = np.where(np.isfinite(floor.cells), floor.cells, 0.0) * floor.gain[:, :, None]
-    if not outer.size:
-        return np.ones(cells.shape[1], dtype=np.bool_)
     level = np.median(cells[:, :, outer], axis=2)
     excess = cells[:, :, inner].max(axis=2) - level
     best = int(np.argmax((excess / np.maximum(level.max(axis=1, keepdims=True), 1e-300)).max(axis=1)))
@@ -373,12 +359,10 @@ def without_absent_mains(modal: ModalFit, held: Sequence[HeldFrames], *, setting
     be mains or an order is an order where most recordings whose shaft has none there do not show it.
     ``settings``: the mains frequencies and how far they wander.
     """
-    if not modal.step_hz:
-        return modal
     mains = [tone for tone in modal.tones if tone.kind == "mains"]
     alone_hz = MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
-    supplies = [tone for tone in mains if not tone.frequency_hz > alone_hz]
-    high = [tone for tone in mains if tone not in supplies]
+    supplies = [tone for tone in mains if tone.frequency_hz <= alone_hz]
+    high = [tone for tone in mains if tone.frequency_hz > alone_hz]
     doubted = [tone for tone in high if not any(_is_multiple(tone, supply, settings) for supply in supplies)]
     doubted += [tone for tone in modal.tones if tone.kind == "mains or order"]
     tones = [_unless_absent(tone, held, modal.step_hz) if tone in doubted else tone for tone in modal.tones]
