@@ -58,7 +58,7 @@ def test_linear_terms_are_recovered_within_their_errors():
 def test_the_power_by_which_the_force_grows_is_told(exponent):
     for seed in range(4):
         told = with_best_law(_block(seed, exponent=exponent)[0], TRUE)
-        assert (told.exponent, told.degree, len(told.law)) == (exponent, 0, 0), seed
+        assert (told.force.exponent, told.degree, len(told.force.law)) == (exponent, 0, 0), seed
 
 
 @pytest.mark.slow

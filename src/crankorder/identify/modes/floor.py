@@ -10,13 +10,89 @@ import numpy as np
 import xarray as xr
 from scipy.special import fdtrc, fdtri, gammainccinv
 
-from crankorder.fft.windows import window_named
-from crankorder.identify.modes.surface_fit import SpectralWindow, spectral_window
+from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
 from crankorder.orders.averages import median_of_known
-from crankorder.quantities import Bools, Floats
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "floor")
+
+SMALLEST_TERM = 1e-7
+"""Power response of the window below which a term of its autocorrelation is left out."""
+
+
+FAR = 60.0
+"""Size of 2πTz from which the series in 1/z is good to 1e-6."""
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralWindow:
+    """Power response of a window: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
+
+    ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.
+    """
+
+    order: Floats
+    weight: Floats
+    length_s: float
+
+    @property
+    def bin_hz(self) -> float:
+        """Width in Hz of a bin of an unpadded transform."""
+        return 1.0 / self.length_s
+
+    def kernel(self, offset_hz: Floats) -> Floats:
+        """Power response per Hz, its integral over all offsets being one, at ``offset_hz`` from a tone."""
+        real: Floats = 2.0 * _near(1e-4j + 2j * np.pi * self.length_s * np.abs(offset_hz), self)[0].real
+        return real
+
+
+def spectral_window(window: str, enbw_hz: float) -> SpectralWindow:
+    """SpectralWindow of the window ``window`` whose noise bandwidth is ``enbw_hz``.
+
+    A sum of cosines of half a period is complete, for the autocorrelation vanishes at its end: its coefficients are
+    the window's power response at every half bin.
+    """
+    shape = window_named(window, 512)
+    order = np.arange(2 * WIDEST_LOBE_BINS + 1, dtype=np.float64)
+    power = shape.response(0.5 * order) ** 2
+    power[0] = 0.5
+    kept = power > SMALLEST_TERM
+    return SpectralWindow(order[kept], power[kept] / power[kept].sum(), shape.enbw_bins / enbw_hz)
+
+
+def _near(a: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
+    """∫ c(t) exp(−a t) dt over a window's length, times that length, and its derivative by a."""
+    decay = np.exp(-a)
+    even = np.where(seen.order % 2 == 0, seen.weight, 0.0)
+    both = np.stack([even, seen.weight - even], axis=1)  # terms whose cosine ends at 1, and at −1
+    top = np.stack([1.0 - decay, 1.0 + decay], axis=-1)
+    over = 1.0 / ((a * a)[..., None] + (np.pi * seen.order) ** 2)
+    once, twice = over @ both, (over * over) @ both
+    value = (top * once).sum(axis=-1)
+    slope = value + a * (decay * (once[..., 0] - once[..., 1]) - 2.0 * a * (top * twice).sum(axis=-1))
+    return seen.length_s * a * value, seen.length_s * slope
+
+
+def seen_pole(z_hz: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
+    """What the window makes of 1 / (2π z): value and derivative by z at ``z_hz`` = σ + i (f − f_d), σ > 0.
+
+    The autocorrelation exp(2π (i f_d − σ) τ) of a resonance is cut by the window's own, whatever its decay, so that
+    both the spectrum of a tone (σ → 0) and a broad resonance come out exactly.
+    ``seen``: how the window sees power.
+    """
+    scale = 2.0 * np.pi * seen.length_s
+    a = scale * z_hz
+    curve = np.pi**2 * float(seen.weight @ seen.order**2)
+    fourth = np.pi**4 * float(seen.weight @ seen.order**4)
+    inverse = 1.0 / a
+    square = inverse * inverse
+    value = seen.length_s * inverse * (1.0 - square * (curve - fourth * square))
+    slope = -seen.length_s * square * (1.0 - square * (3.0 * curve - 5.0 * fourth * square))
+    close = np.abs(a) < FAR
+    value[close], slope[close] = _near(a[close], seen)
+    return value, scale * slope
+
 
 Orders = tuple[tuple[float, float], ...]
 """Orders of lines, each with its standard error."""

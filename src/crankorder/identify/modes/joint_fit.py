@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -17,12 +17,12 @@ from crankorder.identify.found import (
     SweepFits,
     Tone,
     Unsearched,
-    UnseenBound,
     Whirl,
 )
 from crankorder.identify.modes.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modes.order_blocks import blocks_of
 from crankorder.identify.modes.order_responses import Block, Blocks, with_best_law, with_scatter
+from crankorder.identify.modes.order_search import NUMBERS as ORDER_SEARCH
 from crankorder.identify.modes.order_search import (
     ORDER_MODES,
     OrderPole,
@@ -54,6 +54,7 @@ from crankorder.identify.modes.surface_fit import (
     fit_surface,
     pole_covariance,
     poles_at,
+    poles_of_modes,
     side_by_side,
 )
 from crankorder.identify.modes.sweep_modes import poles_of, unlike, with_sweep_modes
@@ -61,7 +62,6 @@ from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.identify.modes.tones import is_shown, tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modes.whirl import (
     doubt_about,
-    narrower_than_fitted,
     of_lines_within,
     of_the_air,
     said_wide,
@@ -97,9 +97,8 @@ def modal_fit(
     band where the map is long; poles that only orders show are looked for in all of them, but where ``swept`` tells
     them. Orders of sweeps tell no poles here, only how they answer the modes.
     """
-    every = blocks_of(order_map, orders, followed)
-    held = tuple(block for block in every if not block.rows.recording)
-    along = tuple(block for block in every if block.rows.recording)
+    asked = blocks_of(order_map, orders, followed)
+    held = [block for block in asked if not block.rows.recording]
     floor = _floor(campbell, order_map, orders)
     fitted: list[Fitted] = []
     whirls: tuple[Whirl, ...] = ()
@@ -113,32 +112,30 @@ def modal_fit(
             fitted.append(Fitted(band, problem, fit, stopped))
     fixed, spread = poles_of(swept.poles)
     known, covariance = _known(fitted, swept)
-    both, most = side_by_side([covariance, spread]), 0 if swept.poles else None
+    both, most = side_by_side([covariance, spread]), 0 if swept.poles else ORDER_SEARCH.most_poles
     blocks, extra, ended = poles_of_orders(held, known.joined(fixed), both, settings=settings, most_poles=most)
     of_orders = poles_at((pole.frequency_hz, pole.damping) for pole in extra).rising
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(local, fitted, blocks, fixed.joined(of_orders)) for local in fitted]
     known, _ = _known(fitted, swept)
-    by_orders = settled(blocks, known.joined(fixed), extra, chance=settings.false_alarm_probability)
-    by_floor = ModalFit((), (), np.zeros((0, 0)))
-    kept = NO_POLES
+    by_orders = settled(blocks, known.joined(fixed), extra)
+    modal = ModalFit((), (), np.zeros((0, 0)))
     if floor is not None:
         proof = dict(zip(known.frequency_hz.tolist(), by_orders.proofs, strict=False))
-        by_floor, kept = _found(fitted, floor, proof, settings)
-    by_floor, kept = with_sweep_modes(by_floor, kept, swept.poles, settings)
+        modal = _found(fitted, floor, proof, settings)
+    modal = with_sweep_modes(modal, swept.poles, settings)
+    every = poles_of_modes(modal.modes).joined(poles_at((pole.frequency_hz, pole.damping) for pole in by_orders.found))
+    along = [with_best_law(block, every) for block in asked if block.rows.recording]
+    blocks = (*by_orders.blocks, *along)
+    modal = _with_order_modes(modal, by_orders, every, blocks, settings)
     bounds = [floor_bound(local.problem, local.fit.model, poles=local.own_modes, settings=settings) for local in fitted]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
-    excluded = partial(
-        least_seen,
-        unit=unit,
-        settings=settings,
-        floors=[bound for bound in bounds if bound is not None],
-        sweeps=swept.hiding,
-    )
-    modal = _with_order_modes(by_floor, kept, by_orders, along, excluded, settings)
+    poles, floors = poles_of_modes(modal.modes), [bound for bound in bounds if bound is not None]
     modal = replace(
         modal,
         modes=of_the_air(modal.modes, campbell),
+        responses=responses_of(blocks, poles),
+        unseen=least_seen(blocks, poles, unit=unit, settings=settings, floors=floors, sweeps=swept.hiding),
         shown_orders=swept.shown_orders,
         left=_left(fitted, floor, by_orders.blocks if not ended else (), swept),
     )
@@ -172,8 +169,7 @@ def _known(fitted: list[Fitted], swept: SweepFits) -> tuple[Poles, Floats]:
     """Poles of all bands that are neither tones nor those of ``swept``, and covariance of their (f_1, ζ_1, f_2, …)."""
     parts, own = list[Floats](), NO_POLES
     for local in fitted:
-        covariance = pole_covariance(local.problem, local.fit, scatter=local.scatter)
-        parts.append(covariance_among(covariance, np.flatnonzero(local.own)))
+        parts.append(covariance_among(local.covariance, np.flatnonzero(local.own)))
         own = own.joined(local.own_modes)
     kept = np.flatnonzero(unlike(own, side_by_side(parts), swept.poles))
     return own.chosen(kept), covariance_among(side_by_side(parts), kept)
@@ -198,10 +194,11 @@ class Fitted:
         """Poles that belong to the band and are no tones."""
         return self.fit.poles.chosen(self.own)
 
-    @property
-    def scatter(self) -> Floats:
-        """Mean square residual (M,) around each pole, in variances; 1 or more."""
-        return np.array([dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz])
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (2M, 2M) of (f_1, ζ_1, f_2, …), as far as the residuals around each pole are noise."""
+        scatter = [dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz]
+        return pole_covariance(self.problem, self.fit, scatter=np.array(scatter))
 
 
 def _with_orders(local: Fitted, every: list[Fitted], blocks: Sequence[Block], fixed: Poles) -> Fitted:
@@ -226,27 +223,20 @@ def _with_orders(local: Fitted, every: list[Fitted], blocks: Sequence[Block], fi
 
 
 def _with_order_modes(
-    fit: ModalFit,
-    kept: Poles,
-    by_orders: Settled,
-    along: Sequence[Block],
-    excluded: Callable[[Sequence[Block], Poles], tuple[UnseenBound, ...]],
-    settings: IdentifySettings,
+    fit: ModalFit, by_orders: Settled, every: Poles, blocks: Sequence[Block], settings: IdentifySettings
 ) -> ModalFit:
-    """``fit``, whose modes are the poles ``kept``, with those that only orders show (``by_orders``), lowest first.
+    """``fit`` with the modes that only orders show (``by_orders``, among ``every`` pole of the test), lowest first.
 
-    ``along``: blocks of sweeps; ``excluded`` says what blocks leave open beside poles.
+    And with tones at which ``blocks`` rise as modes that are not decided.
     """
-    every = kept.joined(poles_at((pole.frequency_hz, pole.damping) for pole in by_orders.found))
-    blocks = (*by_orders.blocks, *(with_best_law(block, every) for block in along))
-    said = {
-        k: mode_of(pole, covariance_among(by_orders.covariance, [k]), every, settings=settings)
+    said = [
+        mode_of(pole, covariance_among(by_orders.covariance, [k]), every, settings=settings)
         for k, pole in enumerate(by_orders.found)
-    }
-    own = [k for k, mode in said.items() if mode is not None]
-    more = [mode for mode in said.values() if mode is not None]
+    ]
+    own = [k for k, mode in enumerate(said) if mode is not None]
+    more = [mode for mode in said if mode is not None]
     parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
-    known = kept.joined(poles_at((mode.frequency_hz, mode.damping_ratio) for mode in more))
+    known = poles_of_modes([*fit.modes, *more])
     unknown = [tone for tone in fit.tones if tone.kind == "tone" and not any(is_shown(tone, mode) for mode in more)]
     for tone in unknown:
         if orders := orders_raised(blocks, known, tone.frequency_hz):
@@ -259,22 +249,18 @@ def _with_order_modes(
         within = tone.kind == "tone" and any(low <= tone.frequency_hz <= high for low, high in proven)
         return within or any(is_shown(tone, mode) for mode in more)
 
-    kept = kept.joined(poles_at((mode.frequency_hz, mode.damping_ratio) for mode in more))
-    modes, rank = (*fit.modes, *more), kept.rank
+    modes = (*fit.modes, *more)
+    rank = poles_of_modes(modes).rank
     return replace(
         fit,
         modes=tuple(modes[k] for k in rank.tolist()),
         tones=tuple(tone for tone in fit.tones if not is_mode(tone)),
         covariance=covariance_among(side_by_side(parts), rank),
-        responses=responses_of(blocks, kept.rising),
-        unseen=excluded(blocks, kept.rising),
     )
 
 
-def _found(
-    fitted: list[Fitted], floor: Floor, proofs: dict[float, Proof], settings: IdentifySettings
-) -> tuple[ModalFit, Poles]:
-    """The fits of all bands in the words of identification, with the orders' ``proofs`` by frequency; their poles."""
+def _found(fitted: list[Fitted], floor: Floor, proofs: dict[float, Proof], settings: IdentifySettings) -> ModalFit:
+    """The fits of all bands in the words of identification, with the orders' ``proofs`` by frequency."""
     shape, smooth = np.full(floor.psd.shape, np.nan), np.empty(floor.psd.shape)
     still = tuple(f for f, _ in floor.strong)
     for local in fitted:
@@ -287,10 +273,10 @@ def _found(
         tone = poles.tone & poles.within(local.band.range_hz) & ~hidden_poles(local.problem, local.fit)
         still += tuple(poles.frequency_hz[tone].tolist())
     tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in floor.strong]
-    modes, parts, kept = list[Mode](), list[Floats](), NO_POLES
+    modes, parts = list[Mode](), list[Floats]()
     for local in fitted:
         problem, fit = local.problem, local.fit
-        covariance = covariance_of_all(problem, fit, scatter=local.scatter)
+        covariance = covariance_of_all(fit, local.covariance)
         scatter = np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])
         strength = evidence_of(fit) / scatter[:, None]
         numbers: list[int] = []
@@ -309,10 +295,9 @@ def _found(
                 modes.append(mode)
                 numbers.append(number)
         parts.append(covariance_among(covariance, numbers))
-        kept = kept.joined(fit.poles.chosen(np.array(numbers, dtype=np.int64)))
     tones = sorted((tone for tone in tones if tone.amplitude), key=lambda tone: tone.frequency_hz)
     joined = ModalFit(tuple(modes), with_one_mains(tones, settings=settings), side_by_side(parts))
-    return replace(joined, frequency_hz=floor.frequency_hz, floor_psd=floor.psd, fitted_psd=shape), kept
+    return replace(joined, frequency_hz=floor.frequency_hz, floor_psd=floor.psd, fitted_psd=shape)
 
 
 def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str:
@@ -367,8 +352,6 @@ def _mode(
     doubt = tone_or_mode(problem, fit, number, settings=settings) or doubt_about(
         (f, error), (zeta, zeta_error), floor, still, prominence_db=prominence, n_shown=len(names), settings=settings
     )
-    if not doubt and narrower_than_fitted(problem, fit, number):
-        doubt = "its flanks are lower than a mode's of this damping: a tone with something beside it, or a mode"
     doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings) or _too_deep(floor, f, names)
     known = error <= ORDER_MODES.uncertain_share * f and zeta_error <= ORDER_MODES.known_share * zeta
     doubt = "" if is_proven(proof) and known else doubt

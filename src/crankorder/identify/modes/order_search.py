@@ -10,7 +10,6 @@ from scipy.special import chdtri, fdtrc
 
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import (
-    ORDER_TERMS,
     Block,
     Blocks,
     Projected,
@@ -42,11 +41,8 @@ TRIED_STARTS = 3
 AT_ONCE = 2
 """Poles that are asked for together at most where the others leave nothing that is felt."""
 
-SETTLED = 0.05
-"""Square of a standard error that a step must gain to be followed by another."""
-
-STEPS = 12
-"""Steps of a fit at most."""
+SETTLED, STEPS = 0.05, 12
+"""Square of a standard error that a step must gain to be followed by another; steps of a fit at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,31 +78,28 @@ def poles_of_orders(
     covariance: Floats,
     *,
     settings: IdentifySettings,
-    most_poles: int | None = None,
+    most_poles: int = NUMBERS.most_poles,
 ) -> tuple[tuple[Block, ...], tuple[OrderPole, ...], bool]:
     """``blocks`` with their laws and scatter, the poles beyond the ``known`` ones that they ask for; whether these end.
 
     They do not where as many poles were found or starts followed as are allowed: others may be left.
-
     One pole after the other is taken where it explains most that is left of all orders and channels, and moved with all
     others to where the likelihood is largest, the known ones within their ``covariance`` (of f_1, ζ_1, f_2, …). Those
     are kept in the end that save more than the false-alarm level of the ``settings`` would let noise save at any of the
-    frequencies tried: while others are missing, what one explains hides in what they leave. ``settings`` also state the
-    largest damping ratio; ``most_poles`` says how many are looked for, if not the usual number. Each order has the
-    scatter that is left of it, so that a force which only varies from speed to speed makes no pole.
+    frequencies tried; ``settings`` also state the largest damping ratio, ``most_poles`` how many are looked for. Each
+    order has the scatter that is left of it: a force which only varies from speed to speed makes no pole.
     """
     if not blocks:
         return (), (), True
     chance, most_damping = settings.false_alarm_probability, settings.max_damping_ratio
     prior = Prior.of(known, covariance)
     asked = sorted(blocks, key=lambda block: -float(np.max(block.rows.size / block.rows.error)))[: NUMBERS.most_blocks]
-    most = NUMBERS.most_poles if most_poles is None else most_poles
     state = Fitted.of([with_best_law(block, known) for block in asked], known, prior)
-    if len(known) and most:
+    if len(known) and most_poles:
         state = state.moved()
     tried = _starts(asked)
-    starts, more = NUMBERS.most_starts, state if most else None
-    while more is not None and starts > 0 and len(state.poles) - len(known) < most:
+    starts, more = NUMBERS.most_starts, state if most_poles else None
+    while more is not None and starts > 0 and len(state.poles) - len(known) < most_poles:
         state = more
         more, followed = _more(state, tried, chance=chance, most_damping=most_damping)
         starts -= followed
@@ -130,21 +123,16 @@ class Settled:
     covariance: Floats
 
 
-def settled(blocks: Sequence[Block], known: Poles, candidates: Sequence[OrderPole], *, chance: float) -> Settled:
+def settled(blocks: Sequence[Block], known: Poles, candidates: Sequence[OrderPole]) -> Settled:
     """``blocks`` behind the ``known`` poles and the ``candidates`` ones, which are moved once more behind those.
 
-    Channels share what an order's force varies by: their residuals are as alike as they are seen to be. Poles that came
-    to lie beside another one and save no more than the false-alarm level ``chance`` would let noise save are left out.
+    Channels share what an order's force varies by: their residuals are as alike as they are seen to be.
     """
     free = poles_at((pole.frequency_hz, pole.damping) for pole in candidates).rising
     state = Fitted.of(blocks, known.joined(free), NO_PRIOR)
     if len(free):
         state = state.moved(fixed=len(known))
     every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
-    for number in range(len(known), len(state.poles)):
-        if _is_beside(state.poles, number) and not _without(state, number, chance=chance)[1]:
-            rest = [pole for at, pole in enumerate(every[len(known) :], len(known)) if at != number]
-            return settled(state.blocks, known, rest, chance=chance)
     proofs = tuple(pole.proof for pole in every[: len(known)])
     covariance = order_pole_covariance(state.blocks, state.projected, state.poles, fixed=len(known))
     return Settled(state.blocks, proofs, tuple(every[len(known) :]), covariance)
@@ -184,7 +172,7 @@ class Fitted:
     @property
     def misses(self) -> float:
         """Largest share of an order's amplitude that the poles leave of any row, far over its noise."""
-        return max((float(share.max()) for share in self._left_shares()), default=0.0)
+        return max(float(share.max()) for share in self._left_shares())
 
     def accounts_for(self, less: Fitted) -> float:
         """Largest share of an order's amplitude, at any row, that the poles account for beyond those of ``less``."""
@@ -212,9 +200,6 @@ class Fitted:
         saved = self.prior.misfit(less.poles) - self.prior.misfit(self.poles)
         pairs = zip(less.blocks, less.projected, self.blocks, self.projected, strict=True)
         for before, few, after, many in pairs:
-            if (after.scatter, after.noise) == (before.scatter, before.noise) == (ORDER_TERMS.least_scatter, 1.0):
-                saved += few.chi2 - many.chi2  # nothing but known errors
-                continue
             share = max(many.degrees_of_freedom, 0) / after.rows.numbers
             saved += (deviance_of(before, few) - deviance_of(after, many)) * share
         return saved
@@ -301,13 +286,11 @@ def _stands_out(rows: Rows, frequency_hz: float) -> bool:
     """Whether the amplitude of ``rows`` is twice as large next to ``frequency_hz`` as on both sides, in any channel."""
     away = np.abs(rows.frequency_hz / frequency_hz - 1.0)
     near = np.flatnonzero(away <= NUMBERS.next_to_share)
-    if not len(near):
-        return False
     below = np.flatnonzero(rows.frequency_hz < frequency_hz * (1.0 - NUMBERS.next_to_share))
     above = np.flatnonzero(rows.frequency_hz > frequency_hz * (1.0 + NUMBERS.next_to_share))
-    sides = [side[np.argmin(away[side])] for side in (below, above) if len(side)]
-    if len(sides) < 2:
+    if not (len(near) and len(below) and len(above)):
         return False
+    sides = [side[np.argmin(away[side])] for side in (below, above)]
     size = np.sqrt(np.abs(rows.amplitude)) if rows.power else np.abs(rows.amplitude)
     return bool((size[:, near].max(axis=1) > NUMBERS.rises_ratio * size[:, sides].max(axis=1)).any())
 
@@ -324,29 +307,20 @@ def _gains(state: Fitted, tried: Poles) -> Floats:
         settled = block.scatter < NUMBERS.felt_error_share
         if settled:
             block = block.varied(scatter=NUMBERS.felt_error_share)
-            part = project(block, state.poles)
-        else:
-            block, part = _reprojected(block, part, state.poles)
+        elif block.scatter > NUMBERS.well_laid_scatter and rows.fewest > 4 * NUMBERS.fewest_rows:
+            block = replace(block, degree=ORDER_RESPONSES.most_degree)  # a peak may have hidden how the force grows
+        if rows.sign_free and not settled:
+            block = block.squared  # signs without the pole may have turned its phase away
+        rows, part = block.rows, project(block, state.poles)
         natural = tried.frequency_hz[near]
         # as wide as a sweep makes a resonance look
         columns = block.modal(natural, np.maximum(tried.damping[near], rows.blur_hz / natural))
         degrees_of_freedom = max(part.degrees_of_freedom / len(rows.channels) - 2.0, 0.0)
-        explained = _explained(columns, block.weight, part, block.rows.columns_per_mode)
+        explained = _explained(columns, block.weight, part, rows.columns_per_mode)
         left = np.maximum(np.sum(np.abs(part.left) ** 2, axis=1), 1e-300)[:, None]
         gain = explained if settled else -degrees_of_freedom * np.log1p(-np.minimum(explained / left, 1.0 - 1e-9))
         total[near] += np.maximum(gain - NUMBERS.expected_gain, 0.0).sum(axis=0)
     return total
-
-
-def _reprojected(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected]:
-    """``block`` and how it is projected (``part``), without what a pole that is missing may have led it to."""
-    if block.scatter > NUMBERS.well_laid_scatter and block.rows.fewest > 4 * NUMBERS.fewest_rows:
-        block = replace(block, degree=ORDER_RESPONSES.most_degree)  # a peak may have hidden how the force grows
-    elif not block.rows.sign_free:
-        return block, part
-    if block.rows.sign_free:
-        block = block.squared  # signs without the pole may have turned its phase away
-    return block, project(block, poles)
 
 
 def _explained(columns: Complexes, weight: Floats, part: Projected, per: int) -> Floats:
@@ -409,16 +383,9 @@ def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
 def _pruned(state: Fitted, *, chance: float) -> Fitted:
     """Without the poles that the others have made idle; those with a prior stay.
 
-    One within the width of another is idle too if that one and the laws of the forces can make up for it, and so are
-    neighbours that account for little together: each may be large and make up for the others.
+    One within the width of another is idle too if that one and the laws of the forces can make up for it.
     """
     first = number = len(state.prior.place)
-    rank = first + np.argsort(state.poles.frequency_hz[first:], kind="stable")
-    gaps = np.flatnonzero(np.diff(np.log(state.poles.frequency_hz[rank])) > ORDER_MODES.side_by_side_share) + 1
-    for group in (side_by_side for side_by_side in np.split(rank, gaps) if len(side_by_side) > 1):
-        alone = _refitted(state, state.poles.chosen(~np.isin(np.arange(len(state.poles)), group)))
-        if state.accounts_for(alone) <= ORDER_MODES.felt_share:
-            return _pruned(alone, chance=chance)
     while number < len(state.poles):
         fewer, needed = _without(state, number, chance=chance)
         if needed and _is_beside(state.poles, number):

@@ -246,24 +246,18 @@ def saves_enough(problem: Problem, less: SurfaceFit, more: SurfaceFit, *, at_hz:
         return False
     if problem.averages.max(initial=0.0) < FLOOR.fewest_averages:
         return saved > HANN_CORRELATION * max(1.0, problem.seen.bin_hz / _step_hz(problem)) * limit
-    return saved > max(HANN_CORRELATION, overcounting(problem, more, at_hz)) * limit
+    # the factor by which the likelihood overstates what the data tell of the two poles nearest
+    free, inverse = more.poles.free, inverse_curvature(more)
+    near = np.argsort(np.abs(more.poles.frequency_hz - at_hz))[:2]
+    own = np.flatnonzero(np.isin(np.repeat(np.arange(len(more.poles)), 2)[free], near))
+    sandwich = score_covariance(problem, more, np.eye(len(free))[:, free] @ inverse[:, own])
+    overstated = float(np.trace(np.linalg.pinv(inverse[np.ix_(own, own)], rcond=1e-12) @ sandwich)) / len(own)
+    return saved > max(HANN_CORRELATION, overstated) * limit
 
 
 def _step_hz(problem: Problem) -> float:
     """Distance of neighbouring bins."""
     return float(problem.frequency_hz[1] - problem.frequency_hz[0])
-
-
-def overcounting(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
-    """Factor by which the likelihood overstates what the data tell of the two poles nearest to ``at_hz``.
-
-    ``problem``: the floors that were fitted; ``fit``: the fit so far.
-    """
-    free, inverse = fit.poles.free, inverse_curvature(fit)
-    near = np.argsort(np.abs(fit.poles.frequency_hz - at_hz))[:2]
-    own = np.flatnonzero(np.isin(np.repeat(np.arange(len(fit.poles)), 2)[free], near))
-    sandwich = score_covariance(problem, fit, np.eye(len(free))[:, free] @ inverse[:, own])
-    return float(np.trace(np.linalg.pinv(inverse[np.ix_(own, own)], rcond=1e-12) @ sandwich)) / len(own)
 
 
 def peaks(floor: Floor) -> Poles:
@@ -576,8 +570,6 @@ def _quiet_cut(floor: Floor, seen: Poles, load: Floats, share: float, n_bands: i
     """Bin near that at ``share`` of the ``load`` which lies the most widths away from any peak."""
     low, high = np.searchsorted(load, load[-1] * (share + BANDS.slack_share / n_bands * np.array([-1.0, 1.0])))
     bins = np.arange(max(int(low), 1), min(max(int(high), int(low) + 1), len(load) - 1) + 1)
-    if not len(seen):
-        return int(bins[len(bins) // 2])
     width = seen.damping * seen.frequency_hz + 3.0 * floor.seen.bin_hz
-    away = (np.abs(floor.frequency_hz[bins, None] - seen.frequency_hz) / width).min(axis=1)
-    return int(bins[np.argmax(np.minimum(away, 10.0) - 1e-3 * np.abs(bins - bins.mean()) / len(bins))])
+    away = (np.abs(floor.frequency_hz[bins, None] - seen.frequency_hz) / width).min(axis=1, initial=10.0)
+    return int(bins[np.argmax(away - 1e-3 * np.abs(bins - bins.mean()) / len(bins))])

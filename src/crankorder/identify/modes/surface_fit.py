@@ -10,95 +10,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
+from crankorder.identify.modes.floor import SpectralWindow, seen_pole
 from crankorder.orders.intervals import Z95, half_widths
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 if TYPE_CHECKING:
+    from crankorder.identify.found import Mode
     from crankorder.identify.modes.order_responses import Blocks
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "surface_fit")
 
-SMALLEST_TERM = 1e-7
-"""Power response of the window below which a term of its autocorrelation is left out."""
 
 LOBE_BINS = 2
 """Bins on each side that the main lobe of a window covers."""
 
-FAR = 60.0
-"""Size of 2πTz from which the series in 1/z is good to 1e-6."""
 
 Range = tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class SpectralWindow:
-    """Power response of a window: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
-
-    ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.
-    """
-
-    order: Floats
-    weight: Floats
-    length_s: float
-
-    @property
-    def bin_hz(self) -> float:
-        """Width in Hz of a bin of an unpadded transform."""
-        return 1.0 / self.length_s
-
-    def kernel(self, offset_hz: Floats) -> Floats:
-        """Power response per Hz, its integral over all offsets being one, at ``offset_hz`` from a tone."""
-        real: Floats = 2.0 * _near(1e-4j + 2j * np.pi * self.length_s * np.abs(offset_hz), self)[0].real
-        return real
-
-
-def spectral_window(window: str, enbw_hz: float) -> SpectralWindow:
-    """SpectralWindow of the window ``window`` whose noise bandwidth is ``enbw_hz``.
-
-    A sum of cosines of half a period is complete, for the autocorrelation vanishes at its end: its coefficients are
-    the window's power response at every half bin.
-    """
-    shape = window_named(window, 512)
-    order = np.arange(2 * WIDEST_LOBE_BINS + 1, dtype=np.float64)
-    power = shape.response(0.5 * order) ** 2
-    power[0] = 0.5
-    kept = power > SMALLEST_TERM
-    return SpectralWindow(order[kept], power[kept] / power[kept].sum(), shape.enbw_bins / enbw_hz)
-
-
-def _near(a: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
-    """∫ c(t) exp(−a t) dt over a window's length, times that length, and its derivative by a."""
-    decay = np.exp(-a)
-    even = np.where(seen.order % 2 == 0, seen.weight, 0.0)
-    both = np.stack([even, seen.weight - even], axis=1)  # terms whose cosine ends at 1, and at −1
-    top = np.stack([1.0 - decay, 1.0 + decay], axis=-1)
-    over = 1.0 / ((a * a)[..., None] + (np.pi * seen.order) ** 2)
-    once, twice = over @ both, (over * over) @ both
-    value = (top * once).sum(axis=-1)
-    slope = value + a * (decay * (once[..., 0] - once[..., 1]) - 2.0 * a * (top * twice).sum(axis=-1))
-    return seen.length_s * a * value, seen.length_s * slope
-
-
-def seen_pole(z_hz: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
-    """What the window makes of 1 / (2π z): value and derivative by z at ``z_hz`` = σ + i (f − f_d), σ > 0.
-
-    The autocorrelation exp(2π (i f_d − σ) τ) of a resonance is cut by the window's own, whatever its decay, so that
-    both the spectrum of a tone (σ → 0) and a broad resonance come out exactly.
-    ``seen``: how the window sees power.
-    """
-    scale = 2.0 * np.pi * seen.length_s
-    a = scale * z_hz
-    curve = np.pi**2 * float(seen.weight @ seen.order**2)
-    fourth = np.pi**4 * float(seen.weight @ seen.order**4)
-    inverse = 1.0 / a
-    square = inverse * inverse
-    value = seen.length_s * inverse * (1.0 - square * (curve - fourth * square))
-    slope = -seen.length_s * square * (1.0 - square * (3.0 * curve - 5.0 * fourth * square))
-    close = np.abs(a) < FAR
-    value[close], slope[close] = _near(a[close], seen)
-    return value, scale * slope
 
 
 def pole_columns(
@@ -231,6 +159,11 @@ def poles_at(values: Iterable[tuple[float, float]]) -> Poles:
     """Poles of the ``values``, frequency in Hz and damping ratio of each, in that order."""
     frequency, damping = np.array(list(values), dtype=np.float64).reshape(-1, 2).T
     return Poles(frequency, damping, np.zeros(len(frequency), dtype=bool))
+
+
+def poles_of_modes(modes: Iterable[Mode]) -> Poles:
+    """Poles of ``modes``, in their order."""
+    return poles_at((mode.frequency_hz, mode.damping_ratio) for mode in modes)
 
 
 def parameters_of(numbers: ArrayLike) -> Ints:
@@ -611,12 +544,9 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Fl
     return np.asarray(covariance * np.outer(scale, scale))
 
 
-def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Floats:
-    """Covariance as of :func:`pole_covariance`, more where channels and orders disagree about a pole beyond that.
-
-    ``problem``: the floors that were fitted; ``fit`` and ``scatter`` (M,): as there.
-    """
-    covariance, free = pole_covariance(problem, fit, scatter=scatter), fit.poles.free
+def covariance_of_all(fit: SurfaceFit, covariance: Floats) -> Floats:
+    """``covariance`` of ``fit``, more where channels and orders disagree about a pole beyond that."""
+    free = fit.poles.free
     if not len(free):
         return covariance
     cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]

@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.identify.found import ModalFit, Mode, SweepFits
 from crankorder.identify.modes.order_blocks import TURNS_SURELY
-from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at, side_by_side
+from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at, poles_of_modes, side_by_side
 from crankorder.identify.modes.sweep_fit import MOST_VALUES
 from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole, sweep_fits
 from crankorder.identify.modes.sweep_window import Solved, spectra_of
@@ -40,22 +40,19 @@ def unlike(poles: Poles, covariance: Floats, swept: Sequence[SweepPole]) -> Bool
     return own
 
 
-def with_sweep_modes(
-    fit: ModalFit, kept: Poles, swept: Sequence[SweepPole], settings: IdentifySettings
-) -> tuple[ModalFit, Poles]:
-    """``fit`` and its poles ``kept`` with the modes of ``swept`` in place of those that are the same.
+def with_sweep_modes(fit: ModalFit, swept: Sequence[SweepPole], settings: IdentifySettings) -> ModalFit:
+    """``fit`` with the modes of ``swept`` in place of those that are the same.
 
     ``settings``: the least damping of a mode.
     """
-    modes, (poles, covariance) = [_mode_of(pole, settings=settings) for pole in swept], poles_of(swept)
-    own = np.flatnonzero(unlike(kept, fit.covariance, swept))
-    joined = replace(
+    modes, (_, covariance) = [_mode_of(pole, settings=settings) for pole in swept], poles_of(swept)
+    own = np.flatnonzero(unlike(poles_of_modes(fit.modes), fit.covariance, swept))
+    return replace(
         fit,
         modes=(*(fit.modes[k] for k in own), *modes),
         tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in modes)),
         covariance=side_by_side([covariance_among(fit.covariance, own), covariance]),
     )
-    return joined, kept.chosen(own).joined(poles)
 
 
 def _mode_of(pole: SweepPole, *, settings: IdentifySettings) -> Mode:

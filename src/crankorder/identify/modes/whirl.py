@@ -11,14 +11,12 @@ from scipy.special import chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
-from crankorder.identify.modes.floor import Floor
+from crankorder.identify.modes.floor import Floor, SpectralWindow, seen_pole
 from crankorder.identify.modes.surface_fit import (
     Problem,
-    SpectralWindow,
     SurfaceFit,
     covariance_among,
     gamma_deviance,
-    seen_pole,
 )
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.identify.modes.tones import at_one_speed, on_order
@@ -289,29 +287,6 @@ NORMAL_95 = 1.96
 
 PRESSURES = ("sound pressure", "pressure")
 """Quantities in which a resonance may be the air's."""
-
-
-def narrower_than_fitted(problem: Problem, fit: SurfaceFit, number: int) -> bool:
-    """Whether the flanks of pole ``number`` of ``fit`` lie far below it: a tone with something else beside it.
-
-    ``problem``: the floors that were fitted.
-    """
-    from scipy.special import chdtr
-
-    f, bin_hz = float(fit.poles.frequency_hz[number]), problem.seen.bin_hz
-    if float(fit.poles.damping[number]) * f > DOUBT_NUMBERS.flank_bins[1] * bin_hz:
-        return False
-    part = fit.part(number)
-    channel = int(np.argmax(part.max(axis=1)))
-    away = np.abs(problem.frequency_hz - f) / bin_hz
-    flank = (away > DOUBT_NUMBERS.flank_bins[0]) & (away < DOUBT_NUMBERS.flank_bins[1])
-    flank &= (problem.averages[channel] > 0.0) & (part[channel] > 0.5 * fit.model[channel])
-    if not flank.any():
-        return False
-    share = problem.psd[channel, flank] / fit.model[channel, flank]
-    degrees_of_freedom = 2.0 * float(problem.averages[channel, flank].sum()) / HANN_CORRELATION
-    low = float(chdtr(degrees_of_freedom, degrees_of_freedom * min(float(share.mean()), 1.0)))
-    return bool(float(share.mean()) < DOUBT_NUMBERS.flank_share and low < DOUBT_NUMBERS.flank_chance)
 
 
 def doubt_about(
