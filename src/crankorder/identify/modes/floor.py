@@ -136,10 +136,8 @@ def seen_at_single_speeds(order_map: xr.Dataset, *, top_hz: float) -> list[tuple
     """
     order, speed = order_map["order"].values, order_map["speed"].values
     half = np.flatnonzero((np.abs(2.0 * order - np.rint(2.0 * order)) < 1e-6) & (order > 0.0))
-    size, error = (
-        order_map[name].values[:, :, half].astype(float) for name in ("coherent_amplitude", "standard_error")
-    )
-    degrees_of_freedom = order_map["degrees_of_freedom"].values[:, :, half].astype(float)
+    names = "coherent_amplitude", "standard_error", "degrees_of_freedom"
+    size, error, degrees_of_freedom = (order_map[name].values[:, :, half].astype(float) for name in names)
     with np.errstate(invalid="ignore", divide="ignore"):
         chance = fdtrc(2.0, np.maximum(degrees_of_freedom, 1.0), 0.5 * (size / error) ** 2)
     seen = (np.where((degrees_of_freedom >= 2.0) & np.isfinite(chance), chance, 1.0) < NUMBERS.line_chance).any(axis=0)

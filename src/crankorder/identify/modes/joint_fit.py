@@ -34,6 +34,7 @@ from crankorder.identify.modes.order_search import (
 )
 from crankorder.identify.modes.responses import floor_bound, least_seen, responses_of
 from crankorder.identify.modes.search import (
+    JOINT_FIT,
     Band,
     bands_of,
     dispersion,
@@ -70,10 +71,7 @@ from crankorder.identify.modes.whirl import (
 )
 from crankorder.orders.intervals import Z95
 from crankorder.quantities import Bools, Floats
-from crankorder.settings import IdentifySettings, MethodNumbers
-
-NUMBERS = MethodNumbers("5-identify-modal.toml", "joint_fit")
-
+from crankorder.settings import IdentifySettings
 
 ROUNDS = 2
 """Times that the bands are fitted together with the orders, each with what the others came to."""
@@ -305,7 +303,7 @@ def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str
     at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
     rows = [floor.channels.index(name) for name in channels]
     under = 10.0 * np.log10(np.nanmax(floor.whole[rows], axis=1) / floor.psd[rows, at])
-    if not (least := float(np.nanmin(under, initial=np.inf))) > NUMBERS.deepest_db:
+    if not (least := float(np.nanmin(under, initial=np.inf))) > JOINT_FIT.deepest_db:
         return ""
     return f"{least:.0f} dB under the strongest line, of which window and angle leave as much"
 
@@ -339,7 +337,7 @@ def _mode(
     at = int(np.argmin(np.abs(problem.frequency_hz - f)))
     whole = np.maximum(fit.without_lines(problem)[:, at], np.finfo(np.float64).tiny)  # orders may mask this bin
     lifted = 10.0 * np.log10(whole / np.maximum(whole - fit.part(number)[:, at], 1e-3 * whole))
-    shown = (lifted > NUMBERS.shown_db) & (strength > least_gain(1, settings.false_alarm_probability))
+    shown = (lifted > JOINT_FIT.shown_db) & (strength > least_gain(1, settings.false_alarm_probability))
     prominence = float(lifted.max())
     if prominence < settings.mode_prominence_db and not proof.orders:
         return None

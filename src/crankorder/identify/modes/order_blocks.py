@@ -110,19 +110,13 @@ def _swept_block(agreed: AgreedOrder, tracks: xr.Dataset) -> Block | None:
     if swept is None:
         return None
     amplitude, error = swept["held_amplitude"].values, swept["standard_error"].values
-    speed, hertz = swept["speed"].values, float(swept["order"]) * tracks["speed"].values / 60.0
-    rate = float(np.median(np.abs(np.gradient(hertz, tracks["time"].values))))
+    speed, number = swept["speed"].values, float(swept["order"])
+    rate = float(np.median(np.abs(np.gradient(number * tracks["speed"].values / 60.0, tracks["time"].values))))
     blur_hz = 0.5 * float(np.sqrt(rate)) if tracks.attrs.get(TURNS_SURELY, 1) else UNTOLD_HZ
-    rows = Rows(
-        agreed.order,
-        tuple(str(name) for name in tracks["channel"].values),
-        float(swept["order"]) * speed / 60.0,
-        speed,
-        np.nan_to_num(amplitude),
-        np.where(np.isfinite(amplitude.real) & (error > 0.0), error, np.inf),
-        recording=str(tracks.attrs["recording"]),
-        blur_hz=blur_hz,
-    )
+    names, recording = tuple(str(name) for name in tracks["channel"].values), str(tracks.attrs["recording"])
+    error = np.where(np.isfinite(amplitude.real) & (error > 0.0), error, np.inf)
+    phasor, hertz = np.nan_to_num(amplitude), number * speed / 60.0
+    rows = Rows(agreed.order, names, hertz, speed, phasor, error, recording=recording, blur_hz=blur_hz)
     return _block(rows, parts=2)
 
 
@@ -140,9 +134,8 @@ def swept_rows(order: float, tracks: xr.Dataset) -> xr.Dataset | None:
     row = int(near[np.argmin(np.abs(names[near] - order))])
     time, speed = (tracks[name].values.astype(np.float64) for name in ("time", "speed"))
     bandwidth = tracks["bandwidth_hz"].values[row].astype(np.float64)
-    inside = (time - time[0] >= NUMBERS.from_ends_bandwidths / bandwidth[0]) & (
-        time[-1] - time >= NUMBERS.from_ends_bandwidths / bandwidth[-1]
-    )
+    first, last = NUMBERS.from_ends_bandwidths / bandwidth[[0, -1]]
+    inside = (time - time[0] >= first) & (time[-1] - time >= last)
     amplitude, error = tracks["held_amplitude"].values[:, row], tracks["standard_error"].values[:, row]
     known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)
     # hardly any row shares its noise with the one before: one in a reciprocal bandwidth
@@ -198,7 +191,7 @@ def with_locks_through_modes(
 def _measured(
     agreed: AgreedOrder, modal: ModalFit, sweeps: Sequence[xr.Dataset], order_map: xr.Dataset, cycle: int
 ) -> _Left | None:
-    """What all ``sweeps`` tell of how ``agreed`` turns from the nearest multiple; None where none tells anything.
+    """Number of ``agreed`` as all ``sweeps`` tell it beside the modes; None where it is decided or none tells anything.
 
     The mean over the recordings by their errors, widened where they scatter more.
     """

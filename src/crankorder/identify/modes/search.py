@@ -498,7 +498,7 @@ def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> 
     return local, fit.poles.chosen(poles)
 
 
-BANDS = MethodNumbers("5-identify-modal.toml", "joint_fit")
+JOINT_FIT = MethodNumbers("5-identify-modal.toml", "joint_fit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -523,10 +523,12 @@ def bands_of(floor: Floor) -> tuple[Band, ...]:
     """Bands of ``floor``, cut away from its peaks; one where it is short and has few."""
     n_bins = len(floor.frequency_hz)
     seen = _peaks_by_part(floor)
-    if n_bins <= BANDS.longest_bins and len(seen) <= BANDS.most_peaks:
+    if n_bins <= JOINT_FIT.longest_bins and len(seen) <= JOINT_FIT.most_peaks:
         return (Band(floor, EVERYWHERE, 0, n_bins),)
-    load = 1.0 / np.maximum(BANDS.band_bins, BANDS.band_share * floor.frequency_hz / floor.step_hz)
-    np.add.at(load, np.searchsorted(floor.frequency_hz, seen.frequency_hz).clip(0, n_bins - 1), 1.0 / BANDS.band_peaks)
+    load = 1.0 / np.maximum(JOINT_FIT.band_bins, JOINT_FIT.band_share * floor.frequency_hz / floor.step_hz)
+    np.add.at(
+        load, np.searchsorted(floor.frequency_hz, seen.frequency_hz).clip(0, n_bins - 1), 1.0 / JOINT_FIT.band_peaks
+    )
     load = np.cumsum(load)
     n_bands = max(1, math.ceil(load[-1] - 1e-9))
     cuts = [0, *(_quiet_cut(floor, seen, load, k / n_bands, n_bands) for k in range(1, n_bands)), n_bins]
@@ -537,7 +539,7 @@ def bands_of(floor: Floor) -> tuple[Band, ...]:
 def _band(floor: Floor, first: int, last: int) -> Band:
     n_bins = len(floor.frequency_hz)
     below, above = (
-        max(BANDS.shared_bins, round(BANDS.shared_share * float(floor.frequency_hz[end]) / floor.step_hz))
+        max(JOINT_FIT.shared_bins, round(JOINT_FIT.shared_share * float(floor.frequency_hz[end]) / floor.step_hz))
         for end in (first, last - 1)
     )
     at = slice(max(0, first - below), min(n_bins, last + above))
@@ -558,9 +560,9 @@ def _band(floor: Floor, first: int, last: int) -> Band:
 def _peaks_by_part(floor: Floor) -> Poles:
     """Peaks of ``floor``, looked for part by part, which takes a time that grows as the floor does."""
     poles = NO_POLES
-    for first in range(0, len(floor.frequency_hz), BANDS.band_bins):
-        part = _band(floor, first, min(first + BANDS.band_bins, len(floor.frequency_hz)))
-        if len(part.floor.frequency_hz) >= 2 * BANDS.shared_bins:
+    for first in range(0, len(floor.frequency_hz), JOINT_FIT.band_bins):
+        part = _band(floor, first, min(first + JOINT_FIT.band_bins, len(floor.frequency_hz)))
+        if len(part.floor.frequency_hz) >= 2 * JOINT_FIT.shared_bins:
             here = peaks(part.floor)
             poles = poles.joined(here.chosen(here.within(part.range_hz)))
     return poles
@@ -568,7 +570,7 @@ def _peaks_by_part(floor: Floor) -> Poles:
 
 def _quiet_cut(floor: Floor, seen: Poles, load: Floats, share: float, n_bands: int) -> int:
     """Bin near that at ``share`` of the ``load`` which lies the most widths away from any peak."""
-    low, high = np.searchsorted(load, load[-1] * (share + BANDS.slack_share / n_bands * np.array([-1.0, 1.0])))
+    low, high = np.searchsorted(load, load[-1] * (share + JOINT_FIT.slack_share / n_bands * np.array([-1.0, 1.0])))
     bins = np.arange(max(int(low), 1), min(max(int(high), int(low) + 1), len(load) - 1) + 1)
     width = seen.damping * seen.frequency_hz + 3.0 * floor.seen.bin_hz
     away = (np.abs(floor.frequency_hz[bins, None] - seen.frequency_hz) / width).min(axis=1, initial=10.0)

@@ -304,10 +304,8 @@ def _back_solved(r: Floats, along: Floats) -> Floats:
 def first_model(problem: Problem) -> Floats:
     """Powers (C, F) of the floors in ``problem``, smoothed over a window's main lobe: a first model."""
     used, edge = problem.averages > 0.0, ((0, 0), (LOBE_BINS, LOBE_BINS))
-    count, power = (
-        np.lib.stride_tricks.sliding_window_view(np.pad(values, edge), 2 * LOBE_BINS + 1, axis=1).sum(axis=2)
-        for values in (used, np.where(used, problem.psd, 0.0))
-    )
+    both = np.pad([used, np.where(used, problem.psd, 0.0)], ((0, 0), *edge))
+    count, power = np.lib.stride_tricks.sliding_window_view(both, 2 * LOBE_BINS + 1, axis=2).sum(axis=3)
     return np.asarray(np.where(used & (power > 0.0), power / np.maximum(count, 1), 1.0))
 
 
@@ -413,7 +411,10 @@ def disagreement(cells: Sequence[Cell], inverse: Floats, known: Floats) -> Float
 
 
 def neighbours_together(scores: Floats, reach: int) -> Floats:
-    """Sum (P, P) of the products of ``scores`` (N, P) with themselves and neighbours (Newey and West 1987)."""
+    """Sum (P, P) of the products of ``scores`` (N, P) with themselves and their neighbours (Newey and West 1987).
+
+    ``reach``: how many neighbours on each side count.
+    """
     total = scores.T @ scores
     for lag in range(1, reach + 1):
         product = scores[lag:].T @ scores[:-lag]
@@ -512,10 +513,8 @@ def _resolved(problem: Problem, fit: SurfaceFit, nodes: Floats) -> tuple[Floats,
         near, far = 1.0 / (sigma + 1j * (nodes - damped)), 1.0 / (sigma + 1j * (nodes + damped))
         parts[:, number] = sigma * (np.outer(p, near.real + far.real) + np.outer(q, far.imag - near.imag))
     n_smooth = len(problem.background) - problem.n_lines
-    smooth = fit.linear[:, 2 * n_poles : 2 * n_poles + n_smooth] @ np.stack(
-        [np.interp(nodes, problem.frequency_hz, row) for row in problem.background[:n_smooth]]
-    )
-    power = parts.sum(axis=1) + smooth
+    smooth = np.stack([np.interp(nodes, problem.frequency_hz, row) for row in problem.background[:n_smooth]])
+    power = parts.sum(axis=1) + fit.linear[:, 2 * n_poles : 2 * n_poles + n_smooth] @ smooth
     for row, model, n in zip(power, fit.model, problem.averages, strict=True):
         used = n > 0.0  # the model of masked bins is none
         if used.any():

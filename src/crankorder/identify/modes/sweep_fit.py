@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +15,6 @@ from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "sweep_fit")
-POLE_NUMBERS = MethodNumbers("5-identify-modal.toml", "sweep_poles")
 
 LIGHTEST, HEAVIEST = 1e-4, 0.5
 """Damping ratios that a fit may come to."""
@@ -56,13 +54,6 @@ class LocalFit:
     windows: tuple[Window, ...]
     natural_hz: Floats
     damping: Floats
-
-    @classmethod
-    def of(cls, windows: Sequence[Window], natural_hz: Floats, damping: Floats) -> LocalFit:
-        """Fit of ``windows``, each with its strong orders alone, behind ``natural_hz`` and ``damping`` (M,)."""
-        limits = POLE_NUMBERS.strong_share, POLE_NUMBERS.most_orders
-        strong = (window.with_strong(natural_hz, damping, *limits) for window in windows)
-        return cls(tuple(strong), natural_hz, damping)
 
     @cached_property
     def solved(self) -> tuple[Solved, ...]:

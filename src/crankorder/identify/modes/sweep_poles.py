@@ -189,7 +189,7 @@ class _Search:
             return TileLooked(poles)
         near = [pole for pole in poles if ends[0] < pole[0] < ends[1]]
         natural, damping = np.array(near).reshape(-1, 2).T
-        fit, shown = LocalFit.of(windows, natural, damping).settled(**ROUGHLY), set[float]()
+        fit, shown = _strong_fit(windows, natural, damping).settled(**ROUGHLY), set[float]()
         tried, most = 0, min(NUMBERS.most_poles, most_starts)
         while tried < most:
             starts = Starts.of(fit, low, high)
@@ -223,9 +223,7 @@ class _Search:
         shown = set[float]()
         reached = [order for order in self.more if any(window.is_passed(order) for window in fit.windows)]
         while left := [order for order in reached if order not in fit.orders]:
-            gains = [
-                sum(solved.gain_of(order) for solved in fit.solved if solved.window.is_passed(order)) for order in left
-            ]
+            gains = [sum(solved.gain_of(order) for solved in fit.solved) for order in left]
             unknowns = 2.0 * sum(solved.left.shape[1] * solved.width for solved in fit.solved)
             best = int(np.argmax(gains))
             least = 2.0 * NUMBERS.order_share * sum(solved.misfit for solved in fit.solved)
@@ -235,6 +233,12 @@ class _Search:
             windows = tuple(window.with_order(left[best]) for window in fit.windows)
             fit = LocalFit(windows, fit.natural_hz, fit.damping).settled(**ROUGHLY)
         return fit, shown
+
+
+def _strong_fit(windows: Sequence[Window], natural_hz: Floats, damping: Floats) -> LocalFit:
+    """Fit of ``windows``, each with its strong orders alone, behind ``natural_hz`` and ``damping`` (M,)."""
+    limits = NUMBERS.strong_share, NUMBERS.most_orders
+    return LocalFit(tuple(window.with_strong(natural_hz, damping, *limits) for window in windows), natural_hz, damping)
 
 
 def _half_width(spectra: Sequence[SweepSpectrum], more: Sequence[float], pole: tuple[float, float]) -> float:
@@ -295,7 +299,7 @@ def _refined(
             return None
         bends = {order: bend for fit in fits for window in fit.windows for order, bend in window.bends.items()}
         bent = [replace(window, bends=bends) for window in windows]
-        fits.append(LocalFit.of(bent, natural, damping).settled(**EXACTLY))
+        fits.append(_strong_fit(bent, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits
     moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1)

@@ -501,7 +501,10 @@ class Solved:
         return np.asarray(turn @ self._unscaled(own) @ self.amplitude[own])
 
     def envelope_variance(self, order: float, turn: Complexes, covariance: Floats) -> Floats:
-        """Variance (T, C) of :meth:`envelope` by noise and poles, whose (ln f, ln ζ) have ``covariance`` (2 M, 2 M)."""
+        """Variance (T, C) of :meth:`envelope` by noise and poles, whose (ln f, ln ζ) have ``covariance`` (2 M, 2 M).
+
+        ``order`` and ``turn`` (T, B): as there.
+        """
         own, place = self._columns_of(order), self.window.orders.index(order)
         seen = turn @ self._unscaled(own)
         # derivatives (T, C, 2 M) by ln f and ln ζ of each mode
@@ -574,6 +577,8 @@ class Solved:
     def gain_of(self, order: float) -> float:
         """What one ``order`` more, answered smoothly and by the modes, saves of twice the negative log likelihood."""
         window = self.window
+        if not window.is_passed(order):
+            return 0.0
         path = window.paths(self.natural_hz, self.damping)
         columns = window.force(order)[:, None] * path / window.shape[:, None]
         columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)

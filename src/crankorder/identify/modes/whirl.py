@@ -309,27 +309,26 @@ def doubt_about(
     narrow = 2.0 * zeta * f < settings.mode_min_width_bins * floor.seen.bin_hz
     if narrow and (order := on_order(f, error + zeta * f, floor, settings=settings)):
         return order
-    for tone in still:
+    reach, one_speed = DOUBT_NUMBERS.harmonic_sigmas * error, at_one_speed(floor, settings=settings)
+    hardly_wide = zeta < DOUBT_NUMBERS.wide_sigmas * zeta_error
+    for tone in still if hardly_wide else ():
         multiple = round(f / tone)
-        near = DOUBT_NUMBERS.harmonic_sigmas * error + 0.1 * floor.seen.bin_hz
-        if zeta < DOUBT_NUMBERS.wide_sigmas * zeta_error and multiple >= 2 and abs(f - multiple * tone) <= near:
+        if multiple >= 2 and abs(f - multiple * tone) <= reach + 0.1 * floor.seen.bin_hz:
             return f"{multiple} times the tone at {tone:.4g} Hz and hardly wider than one"
-    if zeta < DOUBT_NUMBERS.wide_sigmas * zeta_error and (
-        grid := on_grid(f, DOUBT_NUMBERS.harmonic_sigmas * error + zeta * f, still, floor)
-    ):
+    if hardly_wide and (grid := on_grid(f, reach + zeta * f, still, floor)):
         return grid
-    if at_one_speed(floor, settings=settings) and 2.0 * (zeta - 2.0 * zeta_error) < TONES.speed_spread_share:
+    if one_speed and 2.0 * (zeta - 2.0 * zeta_error) < TONES.speed_spread_share:
         return "no wider for sure than an order whose speed wanders by 0.2 %: at one speed a modulated order looks so"
-    known = DOUBT_NUMBERS.known_shares[1] if n_shown > 1 else DOUBT_NUMBERS.known_shares[0]
+    known = DOUBT_NUMBERS.known_shares[n_shown > 1]
     if zeta_error > known * zeta and (n_shown < 2 or prominence_db < DOUBT_NUMBERS.clear_db):
         return "its damping is not determined: a hump of the floor, a tone or a mode"
     if error > zeta * f:
         return "its frequency is less certain than it is wide"
     if NORMAL_95 * error > DOUBT_NUMBERS.uncertain_share * f:
         return f"its frequency is known to {100.0 * NORMAL_95 * error / f:.1f} % only"
-    if prominence_db < DOUBT_NUMBERS.weak_at_one_db and at_one_speed(floor, settings=settings):
+    if one_speed and prominence_db < DOUBT_NUMBERS.weak_at_one_db:
         return f"stands only {prominence_db:.1f} dB out of the floor, at one speed: modulated orders look so"
-    if n_shown < 2 and zeta_error > DOUBT_NUMBERS.well_known_share * zeta and at_one_speed(floor, settings=settings):
+    if one_speed and n_shown < 2 and zeta_error > DOUBT_NUMBERS.well_known_share * zeta:
         return "seen in one channel at one speed, its damping not well known: modulated orders look so"
     if prominence_db < DOUBT_NUMBERS.weak_db and zeta_error > DOUBT_NUMBERS.well_known_share * zeta:
         return f"stands only {prominence_db:.1f} dB out of the floor"
