@@ -15,7 +15,7 @@ from crankorder.identify.found import Tone
 from crankorder.identify.lines.line_evidence import ShownAlias
 from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import StatedPart
-from crankorder.identify.modes.settled_tones import without_doubles
+from crankorder.identify.modes.tones import without_doubles
 from crankorder.ingest.manifest import Gear
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE

@@ -7,9 +7,9 @@ import pytest
 from tests.made.floors import Made, campbell_of, inside, no_orders, orders_of
 
 from crankorder.fft.windows import window_named
-from crankorder.identify.modes.floor import quiet_floor
+from crankorder.identify.modes.floor import quiet_floor, spectral_window
 from crankorder.identify.modes.joint_fit import modal_fit
-from crankorder.identify.modes.surface_fit import pole_columns, spectral_window
+from crankorder.identify.modes.surface_fit import pole_columns
 from crankorder.settings import load_settings
 from made.found_lines import agreed, line
 

@@ -8,11 +8,9 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.modes import order_search
-from crankorder.identify.modes.joint_fit import modal_fit
-from crankorder.identify.modes.order_modes import mode_of
-from crankorder.identify.modes.order_responses import Block, Rows
+from crankorder.identify.modes.joint_fit import modal_fit, mode_of
+from crankorder.identify.modes.order_responses import Block, Rows, resonance
 from crankorder.identify.modes.order_search import poles_of_orders, settled
-from crankorder.identify.modes.order_terms import resonance
 from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, DrawnOrder, blocks_from, drawn_machine
@@ -29,7 +27,7 @@ SAME = 0.01
 
 def _modes(blocks):
     laid, poles, _ = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), settings=SETTINGS)
-    told = settled(laid, NO_POLES, poles, chance=SETTINGS.false_alarm_probability)
+    told = settled(laid, NO_POLES, poles)
     parts = [told.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(told.found))]
     every = NO_POLES
     for pole in told.found:
@@ -61,7 +59,7 @@ def test_modes_that_orders_sweep_through_are_found_within_their_errors_by_phases
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("scatter", [0.1, 0.02, 0.005, 0.0])
 def test_smooth_forces_whose_size_scatters_have_no_mode(scatter):
-    for seed in range(6):
+    for seed in range(3):
         assert _modes(blocks_from(drawn_machine(seed, n_modes=(0, 0), scatter=(scatter,)), seed)) == [], seed
 
 
@@ -165,17 +163,14 @@ def test_a_peak_of_a_row_or_two_is_no_proof_without_its_flanks(rows):
         assert not [item for item in found if not item.undecided], seed
 
 
-def test_a_mode_far_above_what_is_swept_invents_none_within():
+def test_a_mode_far_above_what_is_swept_and_noise_in_place_of_an_order_invent_none():
     for natural_hz in (110.0, 150.0, 300.0):
         assert _modes(blocks_from(_by_order_one((natural_hz,), (0.02,)), 1)) == []
-
-
-def test_noise_in_place_of_an_order_has_no_mode():
+    (block,) = blocks_from(_by_order_one((61.0,), (0.08,)), 0)
     for seed in range(10):
-        (block,) = blocks_from(_by_order_one((61.0,), (0.08,)), seed)
-        random = np.random.default_rng(seed)
-        noise = random.normal(size=block.rows.amplitude.shape) + 1j * random.normal(size=block.rows.amplitude.shape)
-        assert _modes([Block.of(replace(block.rows, amplitude=noise, error=np.ones(noise.shape)))]) == []
+        random, ones = np.random.default_rng(seed), np.ones(block.rows.amplitude.shape)
+        noise = random.normal(size=ones.shape) + 1j * random.normal(size=ones.shape)
+        assert _modes([Block.of(replace(block.rows, amplitude=noise, error=ones))]) == []
 
 
 def test_a_search_that_stops_at_its_bound_says_so(monkeypatch):
@@ -193,7 +188,7 @@ def test_a_mode_that_is_known_is_not_found_again():
     known = NO_POLES.with_pole(61.0, 0.08)
     laid, poles, _ = poles_of_orders(blocks, known, np.diag([1e-4, 1e-6] * len(known)), settings=SETTINGS)
     assert poles == ()
-    proofs = settled(laid, known, poles, chance=SETTINGS.false_alarm_probability).proofs
+    proofs = settled(laid, known, poles).proofs
     assert proofs[0].orders == (1.0,) and proofs[0].most_rows > 5
 
 

@@ -10,7 +10,7 @@ from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.lines.followed_orders import track_number
 from crankorder.identify.lines.line_evidence import is_steady
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.modes.order_terms import Force
+from crankorder.identify.modes.order_responses import Force
 from crankorder.identify.modes.responses import held_peak
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import track_order

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modes.order_responses import Block, Rows, project, responses_of, with_best_law, with_scatter
-from crankorder.identify.modes.responses import held_amplitudes, with_and_without
+from crankorder.identify.modes.order_responses import Block, Rows, project, with_best_law, with_scatter
+from crankorder.identify.modes.responses import held_amplitudes, responses_of, with_and_without
 from made.found_lines import mode, poles_of
 
 TRUE = poles_of((mode(60.0, 0.02), mode(75.0, 0.01)))
@@ -58,7 +58,7 @@ def test_linear_terms_are_recovered_within_their_errors():
 def test_the_power_by_which_the_force_grows_is_told(exponent):
     for seed in range(4):
         told = with_best_law(_block(seed, exponent=exponent)[0], TRUE)
-        assert (told.exponent, told.degree, len(told.law)) == (exponent, 0, 0), seed
+        assert (told.force.exponent, told.degree, len(told.force.law)) == (exponent, 0, 0), seed
 
 
 @pytest.mark.slow

@@ -13,8 +13,7 @@ from crankorder.identify.found import Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.floor import Floor
-from crankorder.identify.modes.settled_tones import without_absent_mains
-from crankorder.identify.modes.tones import kind_of, with_one_mains
+from crankorder.identify.modes.tones import kind_of, with_one_mains, without_absent_mains
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
@@ -76,9 +75,7 @@ def floor_with(line_hz, speed_rpm, size, seed):
     cells[0, :, at] += size
     ones, made = np.ones((2, len(speed_rpm))), np.ones((2, FREQUENCY_HZ.size))
     seen = cast(Any, SimpleNamespace(bin_hz=0.5))
-    return Floor(
-        FREQUENCY_HZ, made, made, ones, cells, averages * ones, ("A", "B"), speed_rpm, seen, made, ("", ""), cells
-    )
+    return Floor(FREQUENCY_HZ, made, made, ones, cells, averages * ones, ("A", "B"), speed_rpm, seen, made, cells)
 
 
 @pytest.mark.slow
@@ -110,19 +107,16 @@ def test_a_tone_that_is_there_at_all_speeds_stays_one(seed):
     assert (kind != "order" and f"at 1 of {len(speed)} speeds" in words) or kind == "mains"
 
 
-@pytest.mark.slow
-def test_without_a_speed_every_narrow_line_is_a_tone():
-    floor = floor_with(37.5, np.array([1500.0, 2000.0, 900.0]), np.array([900.0, 0.0, 0.0]), 1)
-    still = replace(floor, speed_rpm=np.full(3, np.nan))
-    assert kind_of(37.5, 0.01, still, settings=SETTINGS)[0] == "tone"
+NO_SPEED, TWO_ALIKE = np.full(3, np.nan), np.array([1777.0, 1777.5])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hertz", [33.7, 50.03])
-def test_at_one_speed_no_line_is_said_to_stay(hertz):
-    speed = np.array([1777.0, 1777.5])
-    kind, words = kind_of(hertz, 0.01, floor_with(hertz, speed, np.full(2, 300.0), 1), settings=SETTINGS)
-    assert kind in ("tone", "mains") and "speeds" not in words
+@pytest.mark.parametrize(
+    ("hertz", "speed", "kind"), [(37.5, NO_SPEED, "tone"), (33.7, TWO_ALIKE, "tone"), (50.03, TWO_ALIKE, "mains")]
+)
+def test_without_a_speed_or_at_one_alone_no_line_is_an_order_or_said_to_stay(hertz, speed, kind):
+    told, words = kind_of(hertz, 0.01, floor_with(hertz, speed, np.full(len(speed), 300.0), 1), settings=SETTINGS)
+    assert told == kind and "speeds" not in words
 
 
 # Mains among the orders of a test at one speed: alone they are named, where an order stands too both are said.

@@ -175,22 +175,20 @@ def test_drawn_modes_that_stay_while_their_levels_change_make_no_whirl(seeds):
         assert not _whirls(rotor, seed), seed
 
 
-def test_noise_alone_makes_no_whirl():
-    for seed in range(12):
-        assert not _whirls(Rotor(modes=(), duration_s=4.0 + seed), seed)
+AT = [(0.0, 0.73), (0.0, 0.48), (100.0, -1.0), (50.0, 1.0), (50.0, 0.5)]
+LINES = [Moving(hz=hz, slope=slope, damping=1e-5) for hz, slope in AT]
+NO_WHIRLS = {
+    "noise": [Rotor(modes=(), duration_s=4.0 + seed) for seed in range(0, 12, 2)],
+    "orders that nobody named, and sidebands": [Rotor(modes=(line, STAYS[0])) for line in LINES],
+    "few speeds": [Rotor(modes=(FORWARD,), speed_rpm=tuple(np.linspace(1000.0, 4000.0, 5)))],
+    "speeds close together": [Rotor(modes=(FORWARD,), speed_rpm=tuple(np.linspace(3600.0, 4000.0, 9)))],
+}
 
 
-@pytest.mark.slow
-def test_an_order_that_nobody_named_and_a_sideband_are_no_whirls():
-    for seed, (hz, slope) in enumerate([(0.0, 0.73), (0.0, 0.48), (100.0, -1.0), (50.0, 1.0), (50.0, 0.5)]):
-        line = Moving(hz=hz, slope=slope, damping=1e-5)
-        assert not _whirls(Rotor(modes=(line, STAYS[0])), seed), (hz, slope)
-
-
-@pytest.mark.slow
-def test_few_speeds_or_speeds_close_together_tell_no_whirl():
-    assert not _whirls(Rotor(modes=(FORWARD,), speed_rpm=tuple(np.linspace(1000.0, 4000.0, 5))), 1)
-    assert not _whirls(Rotor(modes=(FORWARD,), speed_rpm=tuple(np.linspace(3600.0, 4000.0, 9))), 1)
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("rotors", NO_WHIRLS.values(), ids=NO_WHIRLS)
+def test_noise_orders_sidebands_and_too_few_speeds_make_no_whirl(rotors):
+    assert [rotor for seed, rotor in enumerate(rotors) if _whirls(rotor, seed)] == []
 
 
 def _known(slope, *, hz=60.0, damping=0.02):
@@ -281,7 +279,7 @@ def test_records_and_sentences_tell_the_whirl():
 def _rotor_test(seed):
     """Findings of a rotor whose unbalance drives its forward whirl at stepped speeds, by the program's own maps."""
     random = np.random.default_rng([seed, 99])
-    speeds, whole = tuple(np.arange(1500.0, 5001.0, 125.0)), load_settings()
+    speeds, whole = tuple(np.arange(1500.0, 5001.0, 250.0)), load_settings()
     rotor = Rotor(modes=(FORWARD, STAYS[0]), noise=0.1, duration_s=10.0, speed_rpm=speeds)
     by_order, by_frequency = [], []
     for rpm in rotor.speed_rpm:

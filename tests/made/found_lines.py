@@ -7,8 +7,8 @@ import numpy as np
 
 from crankorder.findings import Lock
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, OrderResponse
-from crankorder.identify.modes.order_responses import Block, Rows, responses_of
-from crankorder.identify.modes.order_terms import Force
+from crankorder.identify.modes.order_responses import Block, Force, Rows
+from crankorder.identify.modes.responses import responses_of
 from crankorder.identify.modes.surface_fit import NO_POLES, Poles
 
 SPEEDS_RPM = np.arange(600.0, 2001.0, 50.0)

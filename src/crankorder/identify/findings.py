@@ -63,7 +63,7 @@ from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_blocks import with_locks_through_modes
 from crankorder.identify.modes.responses import held_peak
-from crankorder.identify.modes.settled_tones import with_tones_settled
+from crankorder.identify.modes.tones import with_tones_settled
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.intervals import Z95, half_width, interval, positive_interval, size_interval

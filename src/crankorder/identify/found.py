@@ -14,7 +14,7 @@ from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.records import Ends
 
 if TYPE_CHECKING:
-    from crankorder.identify.modes.order_terms import Force
+    from crankorder.identify.modes.order_responses import Force
     from crankorder.identify.modes.responses import Hiding
     from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole
 

@@ -15,7 +15,7 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, X, Y, Z, crankcase_forces, crankcase_moments
 from crankorder.identify.balance.transfer_path import MeasuredOrders, whitening
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modes.order_terms import resonance, resonance_slopes
+from crankorder.identify.modes.order_responses import resonance, resonance_slopes
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 

@@ -26,7 +26,7 @@ from crankorder.identify.balance.record import Split, added_words, rotor_record,
 from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
 from crankorder.identify.found import AgreedOrders, ModalFit
 from crankorder.identify.machine_model import gas_half_orders
-from crankorder.identify.modes.pole_errors import side_by_side
+from crankorder.identify.modes.surface_fit import side_by_side
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 

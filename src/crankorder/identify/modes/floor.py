@@ -10,13 +10,89 @@ import numpy as np
 import xarray as xr
 from scipy.special import fdtrc, fdtri, gammainccinv
 
-from crankorder.fft.windows import window_named
-from crankorder.identify.modes.surface_fit import SpectralWindow, spectral_window
+from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
 from crankorder.orders.averages import median_of_known
-from crankorder.quantities import Bools, Floats, Ints
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "floor")
+
+SMALLEST_TERM = 1e-7
+"""Power response of the window below which a term of its autocorrelation is left out."""
+
+
+FAR = 60.0
+"""Size of 2πTz from which the series in 1/z is good to 1e-6."""
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralWindow:
+    """Power response of a window: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
+
+    ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.
+    """
+
+    order: Floats
+    weight: Floats
+    length_s: float
+
+    @property
+    def bin_hz(self) -> float:
+        """Width in Hz of a bin of an unpadded transform."""
+        return 1.0 / self.length_s
+
+    def kernel(self, offset_hz: Floats) -> Floats:
+        """Power response per Hz, its integral over all offsets being one, at ``offset_hz`` from a tone."""
+        real: Floats = 2.0 * _near(1e-4j + 2j * np.pi * self.length_s * np.abs(offset_hz), self)[0].real
+        return real
+
+
+def spectral_window(window: str, enbw_hz: float) -> SpectralWindow:
+    """SpectralWindow of the window ``window`` whose noise bandwidth is ``enbw_hz``.
+
+    A sum of cosines of half a period is complete, for the autocorrelation vanishes at its end: its coefficients are
+    the window's power response at every half bin.
+    """
+    shape = window_named(window, 512)
+    order = np.arange(2 * WIDEST_LOBE_BINS + 1, dtype=np.float64)
+    power = shape.response(0.5 * order) ** 2
+    power[0] = 0.5
+    kept = power > SMALLEST_TERM
+    return SpectralWindow(order[kept], power[kept] / power[kept].sum(), shape.enbw_bins / enbw_hz)
+
+
+def _near(a: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
+    """∫ c(t) exp(−a t) dt over a window's length, times that length, and its derivative by a."""
+    decay = np.exp(-a)
+    even = np.where(seen.order % 2 == 0, seen.weight, 0.0)
+    both = np.stack([even, seen.weight - even], axis=1)  # terms whose cosine ends at 1, and at −1
+    top = np.stack([1.0 - decay, 1.0 + decay], axis=-1)
+    over = 1.0 / ((a * a)[..., None] + (np.pi * seen.order) ** 2)
+    once, twice = over @ both, (over * over) @ both
+    value = (top * once).sum(axis=-1)
+    slope = value + a * (decay * (once[..., 0] - once[..., 1]) - 2.0 * a * (top * twice).sum(axis=-1))
+    return seen.length_s * a * value, seen.length_s * slope
+
+
+def seen_pole(z_hz: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
+    """What the window makes of 1 / (2π z): value and derivative by z at ``z_hz`` = σ + i (f − f_d), σ > 0.
+
+    The autocorrelation exp(2π (i f_d − σ) τ) of a resonance is cut by the window's own, whatever its decay, so that
+    both the spectrum of a tone (σ → 0) and a broad resonance come out exactly.
+    ``seen``: how the window sees power.
+    """
+    scale = 2.0 * np.pi * seen.length_s
+    a = scale * z_hz
+    curve = np.pi**2 * float(seen.weight @ seen.order**2)
+    fourth = np.pi**4 * float(seen.weight @ seen.order**4)
+    inverse = 1.0 / a
+    square = inverse * inverse
+    value = seen.length_s * inverse * (1.0 - square * (curve - fourth * square))
+    slope = -seen.length_s * square * (1.0 - square * (3.0 * curve - 5.0 * fourth * square))
+    close = np.abs(a) < FAR
+    value[close], slope[close] = _near(a[close], seen)
+    return value, scale * slope
+
 
 Orders = tuple[tuple[float, float], ...]
 """Orders of lines, each with its standard error."""
@@ -30,8 +106,7 @@ class Floor:
     spectra behind each; ``gain`` (C, K) of each speed; ``cells`` (C, K, F): psd of each speed at unit gain, NaN where
     masked; ``cell_averages`` (C, K). ``moving`` (C, K, F): the cells before those that stand out at few speeds were
     masked. ``seen``: how the window sees power. ``whole`` (C, F): mean psd with all lines.
-    ``quantity`` (C,): what each channel measures, "" where unknown. ``strong``: (frequency,
-    its error) of lines that are tones for sure.
+    ``strong``: (frequency, its error) of lines that are tones for sure.
     """
 
     frequency_hz: Floats
@@ -44,7 +119,6 @@ class Floor:
     speed_rpm: Floats
     seen: SpectralWindow
     whole: Floats
-    quantity: tuple[str, ...]
     moving: Floats
     strong: tuple[tuple[float, float], ...] = ()
 
@@ -62,10 +136,8 @@ def seen_at_single_speeds(order_map: xr.Dataset, *, top_hz: float) -> list[tuple
     """
     order, speed = order_map["order"].values, order_map["speed"].values
     half = np.flatnonzero((np.abs(2.0 * order - np.rint(2.0 * order)) < 1e-6) & (order > 0.0))
-    size, error = (
-        order_map[name].values[:, :, half].astype(float) for name in ("coherent_amplitude", "standard_error")
-    )
-    degrees_of_freedom = order_map["degrees_of_freedom"].values[:, :, half].astype(float)
+    names = "coherent_amplitude", "standard_error", "degrees_of_freedom"
+    size, error, degrees_of_freedom = (order_map[name].values[:, :, half].astype(float) for name in names)
     with np.errstate(invalid="ignore", divide="ignore"):
         chance = fdtrc(2.0, np.maximum(degrees_of_freedom, 1.0), 0.5 * (size / error) ** 2)
     seen = (np.where((degrees_of_freedom >= 2.0) & np.isfinite(chance), chance, 1.0) < NUMBERS.line_chance).any(axis=0)
@@ -87,7 +159,12 @@ def quiet_floor(campbell: xr.Dataset, orders: Orders, *, single: Sequence[tuple[
     if len(used) > 1 and averages.sum(axis=1).max(initial=0.0) < NUMBERS.fewest_averages:
         # padding adds bins but tells nothing: half a bin of the window apart they hold all that it lets through
         used = used[:: max(1, int(0.5 * seen.bin_hz / float(frequency[1] - frequency[0]) + 1e-6))]
-    psd, share = _settled(campbell, used)
+    psd = campbell["psd"].values.astype(np.float64)
+    share = np.ones(psd.shape)
+    if "settled_psd" in campbell:  # without start transients
+        bins = np.searchsorted(frequency, campbell["settled_frequency"].values - 1e-9)
+        psd[..., bins], share[..., bins] = campbell["settled_psd"].values, campbell["settled_share"].values
+    psd, share = psd[..., used], share[..., used]
     known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
     if not known.any():
         known = (averages > 0.0).any(axis=0)
@@ -113,18 +190,7 @@ def quiet_floor(campbell: xr.Dataset, orders: Orders, *, single: Sequence[tuple[
         _clip(psd, independent)
     mean, total = _mean(psd, independent)
     names = tuple(str(name) for name in campbell["channel"].values)
-    quantity = tuple(map(str, campbell["quantity"].values)) if "quantity" in campbell.coords else ("",) * len(names)
-    return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity, unclipped)
-
-
-def _settled(campbell: xr.Dataset, used: Ints) -> tuple[Floats, Floats]:
-    """Densities (channels, speeds, ``used`` bins) without start transients, and the share of the frames they are of."""
-    psd = campbell["psd"].values.astype(np.float64)
-    share = np.ones(psd.shape)
-    if "settled_psd" in campbell:
-        bins = np.searchsorted(campbell["frequency"].values, campbell["settled_frequency"].values - 1e-9)
-        psd[..., bins], share[..., bins] = campbell["settled_psd"].values, campbell["settled_share"].values
-    return psd[..., used], share[..., used]
+    return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, unclipped)
 
 
 def _mean(psd: Floats, averages: Floats) -> tuple[Floats, Floats]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
-from itertools import pairwise
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -19,131 +17,61 @@ from crankorder.identify.found import (
     SweepFits,
     Tone,
     Unsearched,
-    UnseenBound,
     Whirl,
 )
 from crankorder.identify.modes.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modes.order_blocks import blocks_of
-from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modes.order_modes import (
+from crankorder.identify.modes.order_responses import Block, Blocks, with_best_law, with_scatter
+from crankorder.identify.modes.order_search import NUMBERS as ORDER_SEARCH
+from crankorder.identify.modes.order_search import (
+    ORDER_MODES,
+    OrderPole,
     Proof,
-    is_proven,
-    is_shown,
-    mode_of,
-    proven_by,
-    tone_as_mode,
+    Settled,
+    orders_raised,
+    poles_of_orders,
+    settled,
 )
-from crankorder.identify.modes.order_responses import Block, fitting, responses_of, with_best_law
-from crankorder.identify.modes.order_search import Settled, orders_raised, poles_of_orders, settled
-from crankorder.identify.modes.pole_errors import covariance_of_all, pole_covariance, side_by_side
-from crankorder.identify.modes.responses import floor_bound, least_seen
+from crankorder.identify.modes.responses import floor_bound, least_seen, responses_of
 from crankorder.identify.modes.search import (
-    EVERYWHERE,
+    JOINT_FIT,
+    Band,
+    bands_of,
     dispersion,
     evidence_of,
     hidden_poles,
     least_gain,
-    peaks,
     scatter_at,
     search,
     with_strong_tones,
 )
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, covariance_among, poles_at
-from crankorder.identify.modes.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
+from crankorder.identify.modes.surface_fit import (
+    NO_POLES,
+    Poles,
+    Problem,
+    SurfaceFit,
+    covariance_among,
+    covariance_of_all,
+    fit_surface,
+    pole_covariance,
+    poles_at,
+    poles_of_modes,
+    side_by_side,
+)
+from crankorder.identify.modes.sweep_modes import poles_of, unlike, with_sweep_modes
 from crankorder.identify.modes.tones import NUMBERS as TONES
-from crankorder.identify.modes.tones import tone_of, tone_or_mode, with_one_mains, with_tones
+from crankorder.identify.modes.tones import is_shown, tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modes.whirl import (
     doubt_about,
-    narrower_than_fitted,
     of_lines_within,
     of_the_air,
     said_wide,
     whirls_of,
     without_remains,
 )
+from crankorder.orders.intervals import Z95
 from crankorder.quantities import Bools, Floats
-from crankorder.settings import IdentifySettings, MethodNumbers
-
-NUMBERS = MethodNumbers("5-identify-modal.toml", "joint_fit")
-
-
-@dataclass(frozen=True, eq=False)
-class Band:
-    """``floor`` of a band with what it shares with the next ones; poles in ``range_hz`` (from, to) belong to it.
-
-    ``first`` and ``last`` are the bins of the whole floor that are its own, the last one excluded.
-    """
-
-    floor: Floor
-    range_hz: tuple[float, float]
-    first: int
-    last: int
-
-    def holds(self, poles: Poles) -> Bools:
-        """Which of ``poles`` (M,) lie in it or in what it shares."""
-        at, step = poles.frequency_hz, self.floor.step_hz
-        return np.asarray((at > self.floor.frequency_hz[0] - step) & (at < self.floor.frequency_hz[-1] + step))
-
-
-def bands_of(floor: Floor) -> tuple[Band, ...]:
-    """Bands of ``floor``, cut away from its peaks; one where it is short and has few."""
-    n_bins = len(floor.frequency_hz)
-    seen = _peaks_by_part(floor)
-    if n_bins <= NUMBERS.longest_bins and len(seen) <= NUMBERS.most_peaks:
-        return (Band(floor, EVERYWHERE, 0, n_bins),)
-    load = 1.0 / np.maximum(NUMBERS.band_bins, NUMBERS.band_share * floor.frequency_hz / floor.step_hz)
-    np.add.at(
-        load, np.searchsorted(floor.frequency_hz, seen.frequency_hz).clip(0, n_bins - 1), 1.0 / NUMBERS.band_peaks
-    )
-    load = np.cumsum(load)
-    n_bands = max(1, math.ceil(load[-1] - 1e-9))
-    cuts = [0, *(_quiet_cut(floor, seen, load, k / n_bands, n_bands) for k in range(1, n_bands)), n_bins]
-    cuts = sorted(set(cuts))
-    return tuple(_band(floor, first, last) for first, last in pairwise(cuts))
-
-
-def _band(floor: Floor, first: int, last: int) -> Band:
-    n_bins = len(floor.frequency_hz)
-    below, above = (
-        max(NUMBERS.shared_bins, round(NUMBERS.shared_share * float(floor.frequency_hz[end]) / floor.step_hz))
-        for end in (first, last - 1)
-    )
-    at = slice(max(0, first - below), min(n_bins, last + above))
-    part = replace(
-        floor,
-        frequency_hz=floor.frequency_hz[at],
-        psd=floor.psd[:, at],
-        averages=floor.averages[:, at],
-        cells=floor.cells[:, :, at],
-        whole=floor.whole[:, at],
-        strong=tuple(t for t in floor.strong if floor.frequency_hz[at][0] <= t[0] <= floor.frequency_hz[at][-1]),
-    )
-    low = floor.frequency_hz[first] - 0.5 * floor.step_hz if first else -math.inf
-    high = floor.frequency_hz[last] - 0.5 * floor.step_hz if last < n_bins else math.inf
-    return Band(part, (float(low), float(high)), first, last)
-
-
-def _peaks_by_part(floor: Floor) -> Poles:
-    """Peaks of ``floor``, looked for part by part, which takes a time that grows as the floor does."""
-    poles = NO_POLES
-    for first in range(0, len(floor.frequency_hz), NUMBERS.band_bins):
-        part = _band(floor, first, min(first + NUMBERS.band_bins, len(floor.frequency_hz)))
-        if len(part.floor.frequency_hz) >= 2 * NUMBERS.shared_bins:
-            here = peaks(part.floor)
-            poles = poles.joined(here.chosen(here.within(part.range_hz)))
-    return poles
-
-
-def _quiet_cut(floor: Floor, seen: Poles, load: Floats, share: float, n_bands: int) -> int:
-    """Bin near that at ``share`` of the ``load`` which lies the most widths away from any peak."""
-    low, high = np.searchsorted(load, load[-1] * (share + NUMBERS.slack_share / n_bands * np.array([-1.0, 1.0])))
-    bins = np.arange(max(int(low), 1), min(max(int(high), int(low) + 1), len(load) - 1) + 1)
-    if not len(seen):
-        return int(bins[len(bins) // 2])
-    width = seen.damping * seen.frequency_hz + 3.0 * floor.seen.bin_hz
-    away = (np.abs(floor.frequency_hz[bins, None] - seen.frequency_hz) / width).min(axis=1)
-    return int(bins[np.argmax(np.minimum(away, 10.0) - 1e-3 * np.abs(bins - bins.mean()) / len(bins))])
-
+from crankorder.settings import IdentifySettings
 
 ROUNDS = 2
 """Times that the bands are fitted together with the orders, each with what the others came to."""
@@ -167,9 +95,8 @@ def modal_fit(
     band where the map is long; poles that only orders show are looked for in all of them, but where ``swept`` tells
     them. Orders of sweeps tell no poles here, only how they answer the modes.
     """
-    every = blocks_of(order_map, orders, followed)
-    held = tuple(block for block in every if not block.rows.recording)
-    along = tuple(block for block in every if block.rows.recording)
+    asked = blocks_of(order_map, orders, followed)
+    held = [block for block in asked if not block.rows.recording]
     floor = _floor(campbell, order_map, orders)
     fitted: list[Fitted] = []
     whirls: tuple[Whirl, ...] = ()
@@ -183,33 +110,30 @@ def modal_fit(
             fitted.append(Fitted(band, problem, fit, stopped))
     fixed, spread = poles_of(swept.poles)
     known, covariance = _known(fitted, swept)
-    both, most = side_by_side([covariance, spread]), 0 if swept.poles else None
+    both, most = side_by_side([covariance, spread]), 0 if swept.poles else ORDER_SEARCH.most_poles
     blocks, extra, ended = poles_of_orders(held, known.joined(fixed), both, settings=settings, most_poles=most)
-    of_orders = poles_at((pole.frequency_hz, pole.damping) for pole in extra)
-    of_orders = of_orders.chosen(of_orders.rank)
+    of_orders = poles_at((pole.frequency_hz, pole.damping) for pole in extra).rising
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
         fitted = [_with_orders(local, fitted, blocks, fixed.joined(of_orders)) for local in fitted]
     known, _ = _known(fitted, swept)
-    by_orders = settled(blocks, known.joined(fixed), extra, chance=settings.false_alarm_probability)
-    by_floor = ModalFit((), (), np.zeros((0, 0)))
-    kept = NO_POLES
+    by_orders = settled(blocks, known.joined(fixed), extra)
+    modal = ModalFit((), (), np.zeros((0, 0)))
     if floor is not None:
         proof = dict(zip(known.frequency_hz.tolist(), by_orders.proofs, strict=False))
-        by_floor, kept = _found(fitted, floor, proof, settings)
-    by_floor, kept = with_sweep_modes(*modes_unlike(by_floor, kept, swept.poles), swept.poles, settings)
+        modal = _found(fitted, floor, proof, settings)
+    modal = with_sweep_modes(modal, swept.poles, settings)
+    every = poles_of_modes(modal.modes).joined(poles_at((pole.frequency_hz, pole.damping) for pole in by_orders.found))
+    along = [with_best_law(block, every) for block in asked if block.rows.recording]
+    blocks = (*by_orders.blocks, *along)
+    modal = _with_order_modes(modal, by_orders, every, blocks, settings)
     bounds = [floor_bound(local.problem, local.fit.model, poles=local.own_modes, settings=settings) for local in fitted]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
-    excluded = partial(
-        least_seen,
-        unit=unit,
-        settings=settings,
-        floors=[bound for bound in bounds if bound is not None],
-        sweeps=swept.hiding,
-    )
-    modal = _with_order_modes(by_floor, kept, by_orders, along, excluded, settings)
+    poles, floors = poles_of_modes(modal.modes), [bound for bound in bounds if bound is not None]
     modal = replace(
         modal,
         modes=of_the_air(modal.modes, campbell),
+        responses=responses_of(blocks, poles),
+        unseen=least_seen(blocks, poles, unit=unit, settings=settings, floors=floors, sweeps=swept.hiding),
         shown_orders=swept.shown_orders,
         left=_left(fitted, floor, by_orders.blocks if not ended else (), swept),
     )
@@ -241,12 +165,12 @@ def _left(
 
 def _known(fitted: list[Fitted], swept: SweepFits) -> tuple[Poles, Floats]:
     """Poles of all bands that are neither tones nor those of ``swept``, and covariance of their (f_1, ζ_1, f_2, …)."""
-    covariance = [
-        covariance_among(pole_covariance(local.problem, local.fit, scatter=local.scatter), np.flatnonzero(local.own))
-        for local in fitted
-    ]
-    own = reduce(Poles.joined, (local.own_modes for local in fitted), NO_POLES)
-    return poles_unlike(own, side_by_side(covariance), swept.poles)
+    parts, own = list[Floats](), NO_POLES
+    for local in fitted:
+        parts.append(covariance_among(local.covariance, np.flatnonzero(local.own)))
+        own = own.joined(local.own_modes)
+    kept = np.flatnonzero(unlike(own, side_by_side(parts), swept.poles))
+    return own.chosen(kept), covariance_among(side_by_side(parts), kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,80 +192,74 @@ class Fitted:
         """Poles that belong to the band and are no tones."""
         return self.fit.poles.chosen(self.own)
 
-    @property
-    def scatter(self) -> Floats:
-        """Mean square residual (M,) around each pole, in variances; 1 or more."""
-        return np.array([dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz])
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (2M, 2M) of (f_1, ζ_1, f_2, …), as far as the residuals around each pole are noise."""
+        scatter = [dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz]
+        return pole_covariance(self.problem, self.fit, scatter=np.array(scatter))
 
 
-def _with_orders(local: Fitted, every: list[Fitted], blocks: tuple[Block, ...], fixed: Poles) -> Fitted:
-    """The fit of a band together with the orders that sweep through its modes; other bands stay as they are."""
+def _with_orders(local: Fitted, every: list[Fitted], blocks: Sequence[Block], fixed: Poles) -> Fitted:
+    """Joint fit of a band with those of ``blocks`` that sweep through its modes and agree with them.
+
+    Each counts by its errors and the scatter that the poles leave, with ``fixed`` ones and other bands' among them.
+    """
     if not blocks or not len(local.own_modes):
         return local
-    for other in every:
-        if other is not local:
-            fixed = fixed.joined(other.own_modes.chosen(~local.band.holds(other.own_modes)))
-    problem, fit = fitting(replace(local.problem, others=None), local.fit, blocks, fixed=fixed)
+    for other in (other for other in every if other is not local):
+        fixed = fixed.joined(other.own_modes.chosen(~local.band.holds(other.own_modes)))
+    problem, fit = replace(local.problem, others=None), local.fit
+    blocks = [block for block in blocks if len(block.reached(fit.poles)) or not len(fixed)]
+    for _ in range(2):
+        blocks = [with_scatter(block, fit.poles.joined(fixed))[0] for block in blocks]
+        good = tuple(block for block in blocks if block.tells)
+        if not good:
+            return replace(local, problem=replace(problem, others=None), fit=fit)
+        problem = replace(problem, others=Blocks(good, fixed))
+        fit = fit_surface(problem, fit.poles, start=fit.model, steps=10)
     return replace(local, problem=problem, fit=fit)
 
 
 def _with_order_modes(
-    fit: ModalFit,
-    kept: Poles,
-    by_orders: Settled,
-    along: Sequence[Block],
-    excluded: Callable[[Sequence[Block], Poles], tuple[UnseenBound, ...]],
-    settings: IdentifySettings,
+    fit: ModalFit, by_orders: Settled, every: Poles, blocks: Sequence[Block], settings: IdentifySettings
 ) -> ModalFit:
-    """``fit``, whose modes are the poles ``kept``, with those that only orders show (``by_orders``), lowest first.
+    """``fit`` with the modes that only orders show (``by_orders``, among ``every`` pole of the test), lowest first.
 
-    ``along``: blocks of sweeps; ``excluded`` says what blocks leave open beside poles.
+    And with tones at which ``blocks`` rise as modes that are not decided.
     """
-    extra = by_orders.found
-    every = kept.joined(poles_at((pole.frequency_hz, pole.damping) for pole in extra))
-    blocks = (*by_orders.blocks, *(with_best_law(block, every) for block in along))
     said = [
         mode_of(pole, covariance_among(by_orders.covariance, [k]), every, settings=settings)
-        for k, pole in enumerate(extra)
+        for k, pole in enumerate(by_orders.found)
     ]
     own = [k for k, mode in enumerate(said) if mode is not None]
     more = [mode for mode in said if mode is not None]
     parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
+    known = poles_of_modes([*fit.modes, *more])
     unknown = [tone for tone in fit.tones if tone.kind == "tone" and not any(is_shown(tone, mode) for mode in more)]
-    known = kept.joined(_poles_of(more))
     for tone in unknown:
         if orders := orders_raised(blocks, known, tone.frequency_hz):
             mode, part = tone_as_mode(tone, orders, settings=settings)
             more.append(mode)
             parts.append(part)
-    kept = kept.joined(_poles_of(more))
     proven = [mode.frequency_ends for mode in fit.modes if mode.reached_by and not mode.undecided]
 
-    def within(tone: Tone) -> bool:
-        return tone.kind == "tone" and any(low <= tone.frequency_hz <= high for low, high in proven)
+    def is_mode(tone: Tone) -> bool:
+        within = tone.kind == "tone" and any(low <= tone.frequency_hz <= high for low, high in proven)
+        return within or any(is_shown(tone, mode) for mode in more)
 
-    modes, rank = (*fit.modes, *more), kept.rank
-    poles = kept.chosen(rank)
+    modes = (*fit.modes, *more)
+    rank = poles_of_modes(modes).rank
     return replace(
         fit,
         modes=tuple(modes[k] for k in rank.tolist()),
-        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more) and not within(tone)),
+        tones=tuple(tone for tone in fit.tones if not is_mode(tone)),
         covariance=covariance_among(side_by_side(parts), rank),
-        responses=responses_of(blocks, poles),
-        unseen=excluded(blocks, poles),
     )
 
 
-def _poles_of(modes: Sequence[Mode]) -> Poles:
-    return poles_at((mode.frequency_hz, mode.damping_ratio) for mode in modes)
-
-
-def _found(
-    fitted: list[Fitted], floor: Floor, proofs: dict[float, Proof], settings: IdentifySettings
-) -> tuple[ModalFit, Poles]:
-    """The fits of all bands in the words of identification, with the orders' ``proofs`` by frequency; their poles."""
-    shape = np.full(floor.psd.shape, np.nan)
-    smooth = np.empty(floor.psd.shape)
+def _found(fitted: list[Fitted], floor: Floor, proofs: dict[float, Proof], settings: IdentifySettings) -> ModalFit:
+    """The fits of all bands in the words of identification, with the orders' ``proofs`` by frequency."""
+    shape, smooth = np.full(floor.psd.shape, np.nan), np.empty(floor.psd.shape)
     still = tuple(f for f, _ in floor.strong)
     for local in fitted:
         own = slice(local.band.first, local.band.last)
@@ -353,34 +271,31 @@ def _found(
         tone = poles.tone & poles.within(local.band.range_hz) & ~hidden_poles(local.problem, local.fit)
         still += tuple(poles.frequency_hz[tone].tolist())
     tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in floor.strong]
-    modes, parts, kept = list[Mode](), list[Floats](), NO_POLES
+    modes, parts = list[Mode](), list[Floats]()
     for local in fitted:
         problem, fit = local.problem, local.fit
-        covariance = covariance_of_all(problem, fit, scatter=local.scatter)
+        covariance = covariance_of_all(fit, local.covariance)
         scatter = np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])
         strength = evidence_of(fit) / scatter[:, None]
         numbers: list[int] = []
         for number in np.flatnonzero(~hidden_poles(problem, fit) & fit.poles.within(local.band.range_hz)).tolist():
             f, error = float(fit.poles.frequency_hz[number]), float(np.sqrt(covariance[2 * number, 2 * number]))
-            if fit.poles.tone[number]:
-                if floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]:
-                    part = fit.part(number)
-                    rest = smooth.copy()
-                    at = np.searchsorted(floor.frequency_hz, problem.frequency_hz[0]) + np.arange(part.shape[1])
-                    rest[:, at] = np.maximum(smooth[:, at] - part, 0.02 * smooth[:, at])
-                    tones.append(tone_of(f, error, floor, rest, settings=settings))
+            if not floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]:
                 continue
-            proof = proofs.get(f, Proof())
-            mode = _mode(number, local, floor, covariance, strength[number], still, proof, settings)
-            if mode is not None:
+            if fit.poles.tone[number]:
+                part, rest = fit.part(number), smooth.copy()
+                at = np.searchsorted(floor.frequency_hz, problem.frequency_hz[0]) + np.arange(part.shape[1])
+                rest[:, at] = np.maximum(smooth[:, at] - part, 0.02 * smooth[:, at])
+                tones.append(tone_of(f, error, floor, rest, settings=settings))
+            elif mode := _mode(
+                number, local, floor, covariance, strength[number], still, proofs.get(f, Proof()), settings
+            ):
                 modes.append(mode)
                 numbers.append(number)
-        own_modes = np.array(numbers, dtype=np.int64)
-        parts.append(covariance_among(covariance, own_modes))
-        kept = kept.joined(fit.poles.chosen(own_modes))
+        parts.append(covariance_among(covariance, numbers))
     tones = sorted((tone for tone in tones if tone.amplitude), key=lambda tone: tone.frequency_hz)
     joined = ModalFit(tuple(modes), with_one_mains(tones, settings=settings), side_by_side(parts))
-    return replace(joined, frequency_hz=floor.frequency_hz, floor_psd=floor.psd, fitted_psd=shape), kept
+    return replace(joined, frequency_hz=floor.frequency_hz, floor_psd=floor.psd, fitted_psd=shape)
 
 
 def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str:
@@ -388,7 +303,7 @@ def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str
     at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
     rows = [floor.channels.index(name) for name in channels]
     under = 10.0 * np.log10(np.nanmax(floor.whole[rows], axis=1) / floor.psd[rows, at])
-    if not (least := float(np.nanmin(under, initial=np.inf))) > NUMBERS.deepest_db:
+    if not (least := float(np.nanmin(under, initial=np.inf))) > JOINT_FIT.deepest_db:
         return ""
     return f"{least:.0f} dB under the strongest line, of which window and angle leave as much"
 
@@ -417,19 +332,17 @@ def _mode(
     problem, fit = local.problem, local.fit
     f, zeta = fit.poles.values[number].tolist()
     error, zeta_error = (float(np.sqrt(covariance[2 * number + k, 2 * number + k])) for k in (0, 1))
-    outside = not floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]
-    if outside or zeta - 3.0 * zeta_error > settings.max_damping_ratio or zeta > 1.5 * settings.max_damping_ratio:
+    if zeta - 3.0 * zeta_error > settings.max_damping_ratio or zeta > 1.5 * settings.max_damping_ratio:
         return None
     at = int(np.argmin(np.abs(problem.frequency_hz - f)))
     whole = np.maximum(fit.without_lines(problem)[:, at], np.finfo(np.float64).tiny)  # orders may mask this bin
     lifted = 10.0 * np.log10(whole / np.maximum(whole - fit.part(number)[:, at], 1e-3 * whole))
-    shown = (lifted > NUMBERS.shown_db) & (strength > least_gain(1, settings.false_alarm_probability))
+    shown = (lifted > JOINT_FIT.shown_db) & (strength > least_gain(1, settings.false_alarm_probability))
     prominence = float(lifted.max())
     if prominence < settings.mode_prominence_db and not proof.orders:
         return None
-    names = tuple(name for name, is_shown in zip(floor.channels, shown, strict=True) if is_shown)
-    if not names:
-        names = (floor.channels[int(np.argmax(lifted))],)
+    shown[int(np.argmax(lifted))] |= not shown.any()
+    names = tuple(np.array(floor.channels)[shown].tolist())
     words = f"{prominence:.1f} dB over what the floor is without it, in {len(names)} of {len(floor.channels)} channels"
     if proof.orders:
         words += f"; {proven_by(proof)}"
@@ -437,9 +350,103 @@ def _mode(
     doubt = tone_or_mode(problem, fit, number, settings=settings) or doubt_about(
         (f, error), (zeta, zeta_error), floor, still, prominence_db=prominence, n_shown=len(names), settings=settings
     )
-    if not doubt and narrower_than_fitted(problem, fit, number):
-        doubt = "its flanks are lower than a mode's of this damping: a tone with something beside it, or a mode"
     doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings) or _too_deep(floor, f, names)
     known = error <= ORDER_MODES.uncertain_share * f and zeta_error <= ORDER_MODES.known_share * zeta
     doubt = "" if is_proven(proof) and known else doubt
     return Mode(f, error, zeta, zeta_error, names, prominence, words, proof.orders, doubt)
+
+
+def proven_by(proof: Proof) -> str:
+    """What says that a mode is there, in words; empty where no order does.
+
+    ``proof``: the orders that show it.
+    """
+    if not proof.orders:
+        return ""
+    if not proof.passed:
+        return f"no order passes it; it shapes orders {_listed(proof.orders)} from afar"
+    names = _listed(proof.passed)
+    if len(proof.passed) > 1:
+        words = f"orders {names} peak there, each at its own speed, with the phase of a resonance"
+    else:
+        near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
+        words = f"order {names} has amplitude and phase of a resonance there, {near}"
+    if proof.flanked and proof.most_rows < ORDER_MODES.rows_of_turn and not _peaks_prove(proof):
+        words += f"; the flanks of order {_listed(proof.flanked)}, without the rows at its peak, place it there"
+    return words
+
+
+def is_proven(proof: Proof) -> bool:
+    """Whether two orders sweep through the mode, at several speeds, or each alone at one place: one is evidence.
+
+    One is proof too where it shows the mode at its peak and by its flanks alone.
+    ``proof``: the orders that show it.
+    """
+    return bool(proof.flanked) or _peaks_prove(proof)
+
+
+def _peaks_prove(proof: Proof) -> bool:
+    return len(proof.passed) > 1 and (proof.rows >= ORDER_MODES.rows_of_two or proof.located > 1)
+
+
+def mode_of(pole: OrderPole, covariance: Floats, every: Poles, *, settings: IdentifySettings) -> Mode | None:
+    """Mode of a ``pole`` that only orders show, with its ``covariance`` (2, 2); None where it is a part of the shape.
+
+    So is one of unknown damping that lies no further from another pole than it is known: both are one.
+    ``every``: all poles of the test, this one among them; ``settings``: the largest damping that a mode may have.
+    """
+    error, zeta_error = (float(np.sqrt(max(covariance[k, k], 0.0))) for k in (0, 1))
+    f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
+    others = every.frequency_hz[every.frequency_hz != f]
+    is_another = zeta_error > ORDER_MODES.known_share * zeta and bool((np.abs(others - f) <= Z95 * error).any())
+    if not proof.orders or zeta > settings.max_damping_ratio or is_another:
+        return None
+    doubt = _doubt(pole, error, zeta_error, every)
+    return Mode(f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, doubt)
+
+
+def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySettings) -> tuple[Mode, Floats]:
+    """A ``tone`` at which ``orders`` rise as an undecided mode, with its covariance (2, 2).
+
+    ``settings``: the least damping that a mode is reckoned with, which stands for one that nobody saw.
+    """
+    f, error, zeta = tone.frequency_hz, tone.frequency_error_hz, settings.least_damping_ratio
+    rise = f"orders {_listed(orders)} rise" if len(orders) > 1 else f"order {_listed(orders)} rises"
+    doubt = f"tone or mode: {rise} there"
+    mode = Mode(f, error, zeta, zeta, tuple(tone.amplitude), 0.0, tone.evidence, orders, doubt)
+    return mode, np.diag([error**2, zeta**2])
+
+
+def _listed(orders: Sequence[float]) -> str:
+    return ", ".join(f"{order:g}" for order in orders)
+
+
+def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> str:
+    """Why a pole that only orders show may be none."""
+    f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
+    low, high = proof.span_hz
+    said = []
+    if not proof.passed:
+        said.append("no order passes it: something else beyond what was swept may look the same")
+    elif (
+        len(proof.passed) == 1
+        and not proof.flanked
+        and (proof.most_rows < ORDER_MODES.rows_of_turn or zeta_error > ORDER_MODES.known_alone_share * zeta)
+    ):
+        said.append(f"passed by order {proof.passed[0]:g} alone, at {proof.most_rows} speeds: its force may peak there")
+    elif len(proof.passed) > 1 and not is_proven(proof):
+        said.append("too few speeds lie near it: a force that differs at one of them looks the same")
+    if error > ORDER_MODES.uncertain_share * f:
+        said.append(f"its frequency is known to {100.0 * error / f:.1f} % only")
+    if zeta_error > ORDER_MODES.known_share * zeta:
+        said.append("its damping is not determined")
+    if f + 2.0 * zeta * f > high or f - 2.0 * zeta * f < low:
+        said.append(f"lies at the end of what was swept, {low:.1f} to {high:.1f} Hz")
+    apart = np.abs(every.frequency_hz / f - 1.0)
+    within = (apart > 0.0) & (apart < every.damping)
+    wider = every.frequency_hz[
+        within & ((every.damping > ORDER_MODES.wider_ratio * zeta) | (apart < every.damping / ORDER_MODES.wider_ratio))
+    ]
+    if len(wider):
+        said.append(f"within the width of {wider[0]:.1f} Hz: what that one's model leaves may look the same")
+    return "; ".join(said)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
+from scipy.linalg import block_diag
 
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, OrderLine, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
@@ -33,8 +34,8 @@ def blocks_of(order_map: xr.Dataset, orders: AgreedOrders, followed: Sequence[xr
     """
     blocks: list[Block | None] = []
     for agreed in orders:
-        swept = [block for tracks in followed if (block := _swept_block(agreed, tracks)) is not None]
-        blocks += swept or _held_blocks(agreed, order_map)
+        swept = [_swept_block(agreed, tracks) for tracks in followed]
+        blocks += swept if any(swept) else _held_blocks(agreed, order_map)
     return tuple(block for block in blocks if block is not None)
 
 
@@ -109,19 +110,13 @@ def _swept_block(agreed: AgreedOrder, tracks: xr.Dataset) -> Block | None:
     if swept is None:
         return None
     amplitude, error = swept["held_amplitude"].values, swept["standard_error"].values
-    speed, hertz = swept["speed"].values, float(swept["order"]) * tracks["speed"].values / 60.0
-    rate = float(np.median(np.abs(np.gradient(hertz, tracks["time"].values))))
+    speed, number = swept["speed"].values, float(swept["order"])
+    rate = float(np.median(np.abs(np.gradient(number * tracks["speed"].values / 60.0, tracks["time"].values))))
     blur_hz = 0.5 * float(np.sqrt(rate)) if tracks.attrs.get(TURNS_SURELY, 1) else UNTOLD_HZ
-    rows = Rows(
-        agreed.order,
-        tuple(str(name) for name in tracks["channel"].values),
-        float(swept["order"]) * speed / 60.0,
-        speed,
-        np.nan_to_num(amplitude),
-        np.where(np.isfinite(amplitude.real) & (error > 0.0), error, np.inf),
-        recording=str(tracks.attrs["recording"]),
-        blur_hz=blur_hz,
-    )
+    names, recording = tuple(str(name) for name in tracks["channel"].values), str(tracks.attrs["recording"])
+    error = np.where(np.isfinite(amplitude.real) & (error > 0.0), error, np.inf)
+    phasor, hertz = np.nan_to_num(amplitude), number * speed / 60.0
+    rows = Rows(agreed.order, names, hertz, speed, phasor, error, recording=recording, blur_hz=blur_hz)
     return _block(rows, parts=2)
 
 
@@ -139,9 +134,8 @@ def swept_rows(order: float, tracks: xr.Dataset) -> xr.Dataset | None:
     row = int(near[np.argmin(np.abs(names[near] - order))])
     time, speed = (tracks[name].values.astype(np.float64) for name in ("time", "speed"))
     bandwidth = tracks["bandwidth_hz"].values[row].astype(np.float64)
-    inside = (time - time[0] >= NUMBERS.from_ends_bandwidths / bandwidth[0]) & (
-        time[-1] - time >= NUMBERS.from_ends_bandwidths / bandwidth[-1]
-    )
+    first, last = NUMBERS.from_ends_bandwidths / bandwidth[[0, -1]]
+    inside = (time - time[0] >= first) & (time[-1] - time >= last)
     amplitude, error = tracks["held_amplitude"].values[:, row], tracks["standard_error"].values[:, row]
     known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)
     # hardly any row shares its noise with the one before: one in a reciprocal bandwidth
@@ -157,9 +151,9 @@ LOCK_NUMBERS = MethodNumbers("5-identify-lines.toml", "lock_through_modes")
 
 @dataclass(frozen=True)
 class _Left:
-    """Slip [turns per revolution] of an order beside the phase of the modes; standard error and degrees of freedom."""
+    """Number of an order beside the phase of the modes, or its slip; standard error and degrees of freedom."""
 
-    turn: float
+    order: float
     error: float
     degrees_of_freedom: float
 
@@ -180,70 +174,51 @@ def with_locks_through_modes(
     if not sweeps or source == "vibration":
         return tuple(orders), modal
     cycle = int(order_map.attrs["revs_per_cycle"])
-    open_ones = [one.lock == "undecided" and not one.of_angle for one in orders]  # an error of the angle is locked too
-    measured = [
-        _measured(one, modal, sweeps, order_map, cycle) if is_open else None
-        for one, is_open in zip(orders, open_ones, strict=True)
-    ]
-    if source == "stated" and not any(one.lock == "locked" for one in orders):
-        numbers = [
-            (nearest_multiple(one.order, revs_per_cycle=cycle) + left.turn, left.error, left.degrees_of_freedom)
-            for one, left in zip(orders, measured, strict=True)
-            if left is not None
-        ]
+    measured = [_measured(agreed, modal, sweeps, order_map, cycle) for agreed in orders]
+    if source == "stated" and not any(agreed.lock == "locked" for agreed in orders):
+        numbers = [(left.order, left.error, left.degrees_of_freedom) for left in measured if left is not None]
         if not proves_speed(numbers, revs_per_cycle=cycle):
             return tuple(orders), modal
-    decided = tuple(
-        one if left is None else _locked_where_proven(one, left, cycle)
-        for one, left in zip(orders, measured, strict=True)
-    )
-    moved = {old.order: new.order for old, new in zip(orders, decided, strict=True) if old.order != new.order}
-    if not moved:
-        return decided, modal
-
-    def number(order: float) -> float:
-        return moved.get(order, order)
-
-    return decided, replace(
-        modal,
-        modes=tuple(replace(one, reached_by=tuple(map(number, one.reached_by))) for one in modal.modes),
-        responses=tuple(replace(one, order=number(one.order)) for one in modal.responses),
-        unseen=tuple(replace(one, order=number(one.order)) for one in modal.unseen),
-    )
+    pairs = zip(orders, measured, strict=True)
+    decided = tuple(agreed if left is None else _locked_where_proven(agreed, left, cycle) for agreed, left in pairs)
+    number = {old.order: new.order for old, new in zip(orders, decided, strict=True)}
+    modes = [replace(mode, reached_by=tuple(number.get(k, k) for k in mode.reached_by)) for mode in modal.modes]
+    responses = [replace(fit, order=number.get(fit.order, fit.order)) for fit in modal.responses]
+    unseen = [replace(bound, order=number.get(bound.order, bound.order)) for bound in modal.unseen]
+    return decided, replace(modal, modes=tuple(modes), responses=tuple(responses), unseen=tuple(unseen))
 
 
 def _measured(
     agreed: AgreedOrder, modal: ModalFit, sweeps: Sequence[xr.Dataset], order_map: xr.Dataset, cycle: int
 ) -> _Left | None:
-    """What all ``sweeps`` tell of how ``agreed`` turns from the nearest multiple; None where none tells anything.
+    """Number of ``agreed`` as all ``sweeps`` tell it beside the modes; None where it is decided or none tells anything.
 
     The mean over the recordings by their errors, widened where they scatter more.
     """
+    if agreed.lock != "undecided" or agreed.of_angle:  # an error of the angle is locked too
+        return None
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
-    seen = [
-        left
-        for tracks in sweeps
-        for block in blocks_of(order_map, (agreed,), [tracks])
-        if block.rows.recording and (left := _left_of(block, modal, tracks, multiple)) is not None
-    ]
+    seen = list[_Left]()
+    for tracks in sweeps:
+        block = _swept_block(agreed, tracks)
+        left = _left_of(block, modal, tracks, multiple) if block is not None else None
+        seen += [left] if left is not None else []
     if not seen:
         return None
-    turns: Floats = np.array([left.turn for left in seen])
-    weight: Floats = np.array([1.0 / left.error**2 for left in seen])
+    turns, weight = np.array([(left.order, 1.0 / left.error**2) for left in seen]).T
     mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
     scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(seen) - 1, 1))
-    return _Left(mean, float(np.sqrt(scatter / information)), min(left.degrees_of_freedom for left in seen))
+    return _Left(multiple + mean, float(np.sqrt(scatter / information)), min(left.degrees_of_freedom for left in seen))
 
 
 def _locked_where_proven(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
     """``agreed``, which is locked where what is ``left`` proves it."""
-    multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
-    lock = lock_of(multiple + left.turn, left.error, left.degrees_of_freedom, revs_per_cycle=cycle, by_phase=True)
+    lock = lock_of(left.order, left.error, left.degrees_of_freedom, revs_per_cycle=cycle, by_phase=True)
     if lock != "locked":
         return agreed
     return replace(
         agreed,
-        order=multiple,
+        order=nearest_multiple(agreed.order, revs_per_cycle=cycle),
         order_error=left.error,
         degrees_of_freedom=left.degrees_of_freedom,
         lock=lock,
@@ -254,148 +229,93 @@ def _locked_where_proven(agreed: AgreedOrder, left: _Left, cycle: int) -> Agreed
 
 def _left_of(block: Block, modal: ModalFit, tracks: xr.Dataset, multiple: float) -> _Left | None:
     """What turns the phase of ``block`` along ``tracks`` beside the modes, from ``multiple``; None: not fitted."""
-    fits = {
-        response.channel: response
-        for response in modal.responses
-        if response.fits
-        and response.recording == block.rows.recording
-        and abs(response.order - block.rows.order) <= NUMBERS.same_order_share * block.rows.order
-    }
+    order, near = block.rows.order, NUMBERS.same_order_share * block.rows.order
+    own = [fit for fit in modal.responses if fit.fits and fit.recording == block.rows.recording]
+    fits = {fit.channel: fit for fit in own if abs(fit.order - order) <= near}
     channels = [name for name in block.rows.channels if name in fits]
     if not channels:
         return None
     speed, angle = (tracks[name].values.astype(np.float64) for name in ("speed", "crank_angle"))
     rows = np.flatnonzero(np.isin(speed, block.rows.speed_rpm))  # those of the block, at their speeds
-    if len(rows) != len(block.rows.speed_rpm) or block.rows.speed_rpm[0] not in speed:
+    if len(rows) != len(block.rows.speed_rpm):
         return None
     angle = np.asarray(angle[rows] - angle[rows].mean())
     followed = tracks["order"].values
-    off = float(followed[np.abs(followed - block.rows.order).argmin()]) - multiple
+    off = float(followed[np.abs(followed - order).argmin()]) - multiple
     # the channels see one force and the same modes: what turns one turns them all
-    left = _solved(_together([_channel_part(block, fits[name], modal, angle) for name in channels]))
+    left = _slip_of(block, [fits[name] for name in channels], modal, angle)
     if left is None:
         return None
-    by_angle = block.rows.order * float(tracks.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
-    return replace(left, turn=left.turn + off, error=float(np.hypot(left.error, by_angle)))
+    by_angle = order * float(tracks.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
+    return replace(left, order=left.order + off, error=float(np.hypot(left.error, by_angle)))
 
 
-@dataclass(frozen=True)
-class _Part:
-    """One channel, or all, in standard errors: what is left of what was seen (R,), columns of slip (R,), of turns and
-    poles (R, T), of each channel's own linear terms (R, P), and the rows that say how large these may be."""
-
-    left: Floats
-    seen: Floats
-    slip: Floats
-    shared: Floats
-    own: Floats
-    shared_now: Floats
-    shared_spread: Floats
-    own_prior: Floats
-    own_prior_left: Floats
-    n_laws: int
-
-
-def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Floats, Floats]:
-    """Rows (S, 2 ``n_linear``) by which the smooth terms of ``response`` turn the first one, and what is left of 0.
+def _prior_of(response: OrderResponse) -> tuple[Floats, Floats]:
+    """Rows (S, 2 terms) by which the smooth terms of ``response`` turn the first one, and what is left of 0.
 
     What is across the first term turns the phase, what is along it does not.
     """
-    first = complex(response.smooth[0])
-    size, count = max(abs(first), 1e-300), len(response.smooth) - 1
-    across = 1j * first / size
-    rows, left = np.zeros((count, 2 * n_linear)), np.zeros(count)
-    for k in range(count):
-        rows[k, 1 + k], rows[k, n_linear + 1 + k] = np.array([across.real, across.imag]) / (
-            LOCK_NUMBERS.force_turn_rad * size
-        )
-        left[k] = -(complex(response.smooth[1 + k]) * across.conjugate()).real / (LOCK_NUMBERS.force_turn_rad * size)
-    return rows, left
+    first, others = complex(response.smooth[0]), response.smooth[1:]
+    size, count, n_linear = max(abs(first), 1e-300), len(others), len(response.smooth) + len(response.reached)
+    across, number, spread = 1j * first / size, np.arange(count), LOCK_NUMBERS.force_turn_rad * size
+    rows = np.zeros((count, 2 * n_linear))
+    rows[number, 1 + number], rows[number, n_linear + 1 + number] = across.real / spread, across.imag / spread
+    return rows, -(others * across.conjugate()).real / spread
 
 
-def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Floats) -> _Part:
-    row = [block.rows.channels.index(response.channel)]
-    channels, amplitude, error = (response.channel,), block.rows.amplitude[row], block.rows.error[row]
-    seen = replace(block.rows, channels=channels, amplitude=amplitude, error=error)
-    degree, law = len(response.smooth) - 1, response.force.law
-    alone = replace(block, rows=seen, force=response.force, degree=degree)
-    hz = np.array([mode.frequency_hz for mode in modal.modes])
-    damping = np.array([mode.damping_ratio for mode in modal.modes])
-    smooth, modes = alone.smooth(), alone.modal(hz, damping)
-    fitted = smooth @ response.smooth + modes @ response.residue
-    weight = alone.weight[0]
-    by_f, by_zeta = (slope * response.residue for slope in alone.modal_slopes(hz, damping))
-    shapes = alone.shapes_to(max(len(law), LOCK_NUMBERS.force_terms))[:, 1:]
-    laws = np.zeros(shapes.shape[1], dtype=complex)
-    laws[: len(law)] = law
-    grown = fitted[:, None] * shapes
-    shared = [grown * 1j, grown, by_f[:, response.reached], by_zeta[:, response.reached]]
-    reached = [modal.modes[number] for number in response.reached]
+def _real(values: Complexes, weight: Floats) -> Floats:
+    """Real parts of the rows of ``values``, each times its ``weight``, then the imaginary ones."""
+    weighted = (values.T * weight).T
+    return np.concatenate([weighted.real, weighted.imag])
+
+
+def _slip_of(block: Block, fits: Sequence[OrderResponse], modal: ModalFit, angle_rev: Floats) -> _Left | None:
+    """Slip of ``block`` along ``angle_rev`` beside all else that turns it; None where its ``fits`` are too far off.
+
+    Least squares in standard errors. The channels, one for each of ``fits``, share the slip, the turns of the force and
+    the poles, all known as well as they were fitted; each has linear terms of its own.
+    """
+    hz, damping = np.array([(mode.frequency_hz, mode.damping_ratio) for mode in modal.modes]).reshape(-1, 2).T
+    law, reached = fits[0].force.law, fits[0].reached
+    n_laws, modes = max(len(law), LOCK_NUMBERS.force_terms), [modal.modes[number] for number in reached]
+    parts = list[tuple[Floats, ...]]()
+    for fit in fits:
+        row = block.rows.channels.index(fit.channel)
+        behind, measured = replace(block, force=fit.force, degree=len(fit.smooth) - 1), block.rows.amplitude[row]
+        smooth, modal_columns = behind.smooth(), behind.modal(hz, damping)
+        fitted = smooth @ fit.smooth + modal_columns @ fit.residue
+        grown = fitted[:, None] * behind.shapes_to(n_laws)[:, 1:]
+        slopes = [(slope * fit.residue)[:, reached] for slope in behind.modal_slopes(hz, damping)]
+        shared = np.concatenate([2j * np.pi * (angle_rev * fitted)[:, None], 1j * grown, grown, *slopes], axis=1)
+        linear = np.concatenate([smooth, modal_columns[:, reached]], axis=1)
+        columns = measured - fitted, measured, shared, np.concatenate([linear, 1j * linear], axis=1)
+        parts.append((*(_real(values, block.weight[row]) for values in columns), *_prior_of(fit)))
+    left, seen, shared_rows, own_rows, prior_rows, prior_left = zip(*parts, strict=True)
+    now = np.zeros(2 * n_laws + 2 * len(modes))
+    now[: len(law)] = np.imag(law)
     spread = [
-        LOCK_NUMBERS.force_turn_rad * LOCK_NUMBERS.smoother_ratio ** np.arange(len(laws)),
-        np.full(len(laws), 10.0),
-        np.array([mode.frequency_error_hz / mode.frequency_hz for mode in reached]),
-        np.array([mode.damping_error / mode.damping_ratio for mode in reached]),
+        LOCK_NUMBERS.force_turn_rad * LOCK_NUMBERS.smoother_ratio ** np.arange(n_laws),
+        np.full(n_laws, 10.0),
+        np.array([mode.frequency_error_hz / mode.frequency_hz for mode in modes]),
+        np.array([mode.damping_error / mode.damping_ratio for mode in modes]),
     ]
-    now = np.concatenate([laws.imag, laws.real * 0.0, np.zeros(2 * len(reached))])
-    linear = np.concatenate([smooth, modes[:, response.reached]], axis=1)
-    own = np.concatenate([linear, 1j * linear], axis=1)
-    prior, prior_left = _prior_of(response, linear.shape[1])
-    return _Part(
-        _parts((alone.rows.amplitude[0] - fitted) * weight),
-        _parts(alone.rows.amplitude[0] * weight),
-        _parts(2j * np.pi * angle * fitted * weight),
-        _parts(np.concatenate(shared, axis=1) * weight[:, None]),
-        _parts(own * weight[:, None]),
-        now,
-        np.concatenate(spread),
-        prior,
-        prior_left,
-        len(laws),
-    )
-
-
-def _together(parts: Sequence[_Part]) -> _Part:
-    """Channels of one block, which share the slip, the turns of the force and the poles."""
-    from scipy.linalg import block_diag
-
-    return replace(
-        parts[0],
-        left=np.concatenate([part.left for part in parts]),
-        seen=np.concatenate([part.seen for part in parts]),
-        slip=np.concatenate([part.slip for part in parts]),
-        shared=np.concatenate([part.shared for part in parts]),
-        own=block_diag(*(part.own for part in parts)),
-        own_prior=block_diag(*(part.own_prior for part in parts)),
-        own_prior_left=np.concatenate([part.own_prior_left for part in parts]),
-    )
-
-
-def _parts(values: Complexes) -> Floats:
-    """Real parts of the rows of ``values``, then the imaginary ones."""
-    return np.concatenate([values.real, values.imag])
-
-
-def _solved(part: _Part) -> _Left | None:
-    """Slip of a channel beside all else that turns it; None where the fit is not near enough to tell."""
-    spread = np.maximum(part.shared_spread, 1e-12)
-    n_own, n_shared = part.own.shape[1], len(spread)
-    held = np.concatenate([np.zeros((n_shared, 1)), np.diag(1.0 / spread), np.zeros((n_shared, n_own))], axis=1)
-    prior = np.concatenate([np.zeros((len(part.own_prior), 1 + n_shared)), part.own_prior], axis=1)
-    matrix = np.concatenate([np.concatenate([part.slip[:, None], part.shared, part.own], axis=1), held, prior])
-    wanted = np.concatenate([part.left, -part.shared_now / spread, part.own_prior_left])
+    errors = np.maximum(np.concatenate(spread), 1e-12)
+    held, own, prior = np.pad(np.diag(1.0 / errors), ((0, 0), (1, 0))), block_diag(*own_rows), block_diag(*prior_rows)
+    no_own, no_shared = np.zeros((len(held), own.shape[1])), np.zeros((len(prior), held.shape[1]))
+    matrix = np.block([[np.concatenate(shared_rows), own], [held, no_own], [no_shared, prior]])
+    wanted, n_rows = np.concatenate([*left, -now / errors, *prior_left]), len(own)
     scale = np.sqrt(np.square(matrix).sum(axis=0))
     scaled = matrix / np.where(scale > 0.0, scale, 1.0)
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
     solution = np.linalg.lstsq(scaled, wanted, rcond=1e-12)[0]
-    unknowns, left = solution / np.where(scale > 0.0, scale, 1.0), wanted - scaled @ solution
-    free = len(part.left) - matrix.shape[1]
-    bent = np.abs(unknowns[1 : 1 + part.n_laws] + part.shared_now[: part.n_laws]).max()
+    unknowns, rest = solution / np.where(scale > 0.0, scale, 1.0), wanted - scaled @ solution
+    free, power = n_rows - matrix.shape[1], float(np.square(np.concatenate(seen)).sum())
+    bent = np.abs(unknowns[1 : 1 + n_laws] + now[:n_laws]).max()
     if free < LOCK_NUMBERS.fewest_free or bent > LOCK_NUMBERS.far_turn_rad or not scale[0] > 0.0:
         return None
-    beyond = max(0.0, float(np.square(left[: len(part.left)]).sum()) - free) / float(np.square(part.seen).sum())
+    beyond = max(0.0, float(np.square(rest[:n_rows]).sum()) - free) / power
     if beyond > LOCK_NUMBERS.most_left_share:
         return None
-    worse = max(1.0, float(left @ left) / free)
-    error = np.hypot(np.sqrt(inverse[0, 0] * worse), np.sqrt(beyond) * np.linalg.norm(part.seen) / scale[0])
+    worse = max(1.0, float(rest @ rest) / free)
+    error = np.hypot(np.sqrt(inverse[0, 0] * worse), np.sqrt(beyond * power) / scale[0])
     return _Left(float(unknowns[0]), float(error / scale[0]), float(free))

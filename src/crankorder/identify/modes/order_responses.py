@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar, cast
@@ -10,21 +10,145 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.found import OrderResponse
-from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
-from crankorder.identify.modes.order_terms import (
-    Force,
-    beyond,
-    beyond_law,
-    of_squares,
-    qr_by_channel,
-    resonance,
-    resonance_slopes,
-    scatter_of,
-)
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface, parameters_of
-from crankorder.quantities import Complexes, Floats, Ints
+from crankorder.identify.modes.surface_fit import NO_POLES, Poles, parameters_of
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
+
+ORDER_TERMS = MethodNumbers("5-identify-modal.toml", "order_terms")
+
+
+@dataclass(frozen=True)
+class Force:
+    """How the force of an order grows with the speed.
+
+    (speed / ``reference_rpm``) to the power ``exponent`` times the exponential of Σ ``law``[k] P_k+1(x), P_k the
+    Legendre polynomials of x, the logarithm of the speed, which runs from -1 to 1 over ``span_rpm``.
+    """
+
+    reference_rpm: float
+    span_rpm: tuple[float, float]
+    exponent: float = 2.0
+    law: tuple[complex, ...] = ()
+
+    def shapes(self, speed_rpm: Floats, degree: int) -> Floats:
+        """The polynomials (K, ``degree`` + 1) at ``speed_rpm`` (K,); ``degree``: the highest, 0 or more."""
+        low, high = np.log(self.span_rpm)
+        x = 2.0 * (np.log(speed_rpm) - low) / max(float(high - low), 1e-12) - 1.0
+        return np.asarray(np.polynomial.legendre.legvander(x, degree))
+
+    def at(self, speed_rpm: Floats, shapes: Floats | None = None) -> Complexes:
+        """Force (K,) at ``speed_rpm`` (K,); ``shapes`` (K, law + 1 or more): the polynomials there, where known."""
+        grown: Complexes = np.asarray((speed_rpm / self.reference_rpm) ** self.exponent, dtype=np.complex128)
+        if self.law:
+            shapes = self.shapes(speed_rpm, len(self.law)) if shapes is None else shapes
+            grown *= np.exp(shapes[:, 1 : len(self.law) + 1] @ np.array(self.law))
+        return grown
+
+
+def resonance(frequency_hz: Floats, natural_hz: Floats, damping_ratio: Floats) -> Complexes:
+    """Acceleration −x² / (1 − x² + 2iζx), x = f / f_j, of modes of unit residue, shape (…, mode).
+
+    ``frequency_hz``: f, any shape (…). ``natural_hz`` and ``damping_ratio``: f_j (Hz) and ζ_j, (mode,).
+    """
+    x = np.asarray(frequency_hz)[..., None] / natural_hz
+    return np.asarray(-(x**2) / (1 - x**2 + 2j * damping_ratio * x), dtype=np.complex128)
+
+
+def resonance_slopes(frequency_hz: Floats, natural_hz: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
+    """Derivatives of h_j (K, M) = −x² / (1 − x² + 2iζx), x = f / f_j, by ln f_j and by ln ζ_j.
+
+    ``frequency_hz``: in Hz; ``natural_hz``: of the modes in Hz; ``damping``: their ratios.
+    """
+    x = frequency_hz[:, None] / natural_hz
+    over = 1.0 / (1.0 - x**2 + 2j * damping * x)
+    by_x = -2.0 * x * over + x**2 * (-2.0 * x + 2j * damping) * over**2
+    return np.asarray(-x * by_x, dtype=np.complex128), np.asarray(2j * damping * x**3 * over**2, dtype=np.complex128)
+
+
+def of_squares(columns: Complexes, ratio: Floats) -> Complexes:
+    """Real part and imaginary part over ``ratio`` (K, 2 M) of ``columns`` (K, M), in turn.
+
+    They span the square of any response with real residues, beside a constant.
+    """
+    both = np.empty((len(columns), 2 * columns.shape[1]), dtype=np.complex128)
+    both[:, ::2], both[:, 1::2] = columns.real, columns.imag / ratio
+    return both
+
+
+def qr_by_channel(columns: Complexes) -> tuple[Complexes, Complexes]:
+    """QR of each channel's ``columns`` (C, K, terms): bases (C, K, terms) and triangles (C, terms, terms).
+
+    There are no more terms than rows. As :func:`numpy.linalg.qr` does it, whose stacking takes longer than the factors
+    of matrices as small as these. What is below the diagonal of a triangle counts for nothing.
+    """
+    from scipy.linalg import lapack
+
+    count, rows, terms = columns.shape
+    turned = np.empty((count, terms, rows), dtype=np.complex128)
+    triangle = np.empty((count, terms, terms), dtype=np.complex128)
+    for number, channel in enumerate(columns):
+        reflected, factor, _, _ = lapack.zgeqrf(channel)
+        triangle[number] = reflected[:terms]
+        turned[number] = lapack.zungqr(reflected, factor, overwrite_a=True)[0].T
+    return np.swapaxes(turned, 1, 2), triangle
+
+
+def beyond(basis: Complexes, values: Complexes) -> Complexes:
+    """``values`` (C, K, M) less what lies along ``basis`` (C, K, terms)."""
+    return np.asarray(values - basis @ (np.swapaxes(basis, 1, 2).conj() @ values))
+
+
+def beyond_law(values: Complexes, bent: Complexes, *, power: bool) -> Complexes:
+    """``values`` (C, K, M) less what a step of a law common to the channels makes up for.
+
+    ``bent`` (C, K, degree) are the derivatives by its numbers. These are complex, and real behind squares (``power``),
+    of which the real parts alone count.
+    """
+    flat, moved = values.reshape(-1, values.shape[2]), bent.reshape(-1, bent.shape[2])
+    if power:
+        flat, moved = flat.real.astype(np.complex128), moved.real.astype(np.complex128)
+    unit = np.linalg.qr(moved / np.maximum(np.linalg.norm(moved, axis=0), 1e-300))[0]
+    return np.asarray(beyond(unit[None], flat[None])[0].reshape(values.shape))
+
+
+CUTS = 16
+"""Parts into which a range is cut at once: as many as four halvings make."""
+
+FRACTIONS = np.arange(CUTS + 1) / CUTS
+"""Where those cuts lie, as shares of the range."""
+
+
+def scatter_of(squared: Floats, error: Floats, size: Floats, degrees_of_freedom: int) -> tuple[float, float]:
+    """Scatter s and share n of the errors for which Σ ``squared`` / (n² ``error`` + s² ``size``) is as expected.
+
+    That is the ``degrees_of_freedom``. n is one as long as s is more than the least.
+    """
+    known, least = np.isfinite(error), ORDER_TERMS.least_scatter
+    squared, error, size = squared[known], error[known], size[known]
+
+    def above(scatter: Floats | float, noise: Floats | float) -> Bools:
+        sizes = np.square(noise)[..., None] * error + np.square(scatter)[..., None] * size
+        return np.asarray(np.sum(squared / sizes, axis=-1) > degrees_of_freedom)
+
+    if above(least, 1.0):
+        return _halved(lambda scatter: above(scatter, 1.0), least, 1e3), 1.0
+    if degrees_of_freedom < ORDER_TERMS.enough_degrees_of_freedom:
+        return least, 1.0
+    return least, _halved(lambda noise: above(least, noise), ORDER_TERMS.least_noise_share, 1.0)
+
+
+def _halved(is_below: Callable[[Floats], Bools], low: float, high: float) -> float:
+    """Where ``is_below`` turns false between ``low`` and ``high``, by halving the logarithm twenty times.
+
+    Four halvings are one: all places that they could ask at are asked at once.
+    """
+    first, last = float(np.log(low)), float(np.log(high))
+    for _ in range(5):
+        cuts = first + (last - first) * FRACTIONS
+        part = int(np.count_nonzero(is_below(np.exp(cuts[1:-1]))))
+        first, last = float(cuts[part]), float(cuts[part + 1])
+    return float(np.exp(0.5 * (first + last)))
+
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "order_responses")
 
@@ -45,13 +169,10 @@ Kept = TypeVar("Kept")
 
 def _latest(owner: object, kind: str, arguments: tuple[NDArray[Any], ...], compute: Callable[[], Kept]) -> Kept:
     """What ``compute`` gives for these ``arguments``; the latest of each ``kind`` is kept with its ``owner``."""
-    kept = owner.__dict__.setdefault(kind, {})
     key = b"".join(values.tobytes() for values in arguments)
-    if key not in kept:
-        latest = compute()
-        kept.clear()
-        kept[key] = latest
-    return cast(Kept, kept[key])
+    if kind not in owner.__dict__ or owner.__dict__[kind][0] != key:
+        owner.__dict__[kind] = key, compute()
+    return cast(Kept, owner.__dict__[kind][1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +208,25 @@ class Rows:
         around = np.sort(np.lib.stride_tricks.sliding_window_view(beside, 5, axis=1), axis=2)[..., 2]
         return np.asarray(np.maximum(np.abs(self.measured), 0.5 * around))
 
+    @property
+    def linear_size(self) -> Floats:
+        """The size (C, K) as an amplitude, of squares too."""
+        return np.sqrt(self.size) if self.power else self.size
+
     @cached_property
     def counts(self) -> Ints:
         """How many amplitudes each channel (C,) has."""
         return np.asarray(np.count_nonzero(np.isfinite(self.error), axis=1))
 
-    @cached_property
+    @property
     def fewest(self) -> int:
         """How many amplitudes the channel with the fewest has."""
         return int(self.counts.min())
+
+    @property
+    def numbers(self) -> int:
+        """How many real numbers the amplitudes hold."""
+        return self.parts * int(self.counts.sum())
 
     @cached_property
     def measured(self) -> Complexes:
@@ -149,8 +280,8 @@ class Rows:
     def shapes(self, force: Force, degree: int) -> Floats:
         """Polynomials (K, ``degree`` + 1) of the speeds over the span of ``force``; those made last are kept."""
         most = max(degree, NUMBERS.most_degree)
-        span = (np.array(force.span_rpm), np.array([most]))
-        return _latest(self, "_shapes", span, lambda: force.shapes(self.speed_rpm, most))[:, : degree + 1]
+        key = (np.array([*force.span_rpm, most]),)
+        return _latest(self, "_shapes", key, lambda: force.shapes(self.speed_rpm, most))[:, : degree + 1]
 
 
 OF_LAW = ("growth", "_designs")
@@ -186,6 +317,11 @@ class Block:
     def turned(self, sign: Floats) -> Block:
         """The block whose rows have their ``sign`` (K,), 1 or -1."""
         return replace(self, rows=replace(self.rows, amplitude=self.rows.amplitude * sign))
+
+    @property
+    def tells(self) -> bool:
+        """Whether it scatters so little that it says something of natural frequencies."""
+        return bool(self.scatter <= NUMBERS.most_scatter)
 
     @property
     def squared(self) -> Block:
@@ -260,18 +396,15 @@ class Blocks:
         every = poles.joined(self.fixed)
         return float(sum(project(block, every).chi2 for block in self.items))
 
-    def evaluate(self, poles: Poles) -> tuple[list[Floats], list[Floats], float]:
-        """Jacobians by (ln f, ln ζ), residuals (both in standard errors, real parts first) and their squares' sum.
+    def evaluate(self, poles: Poles) -> tuple[list[Floats], list[Floats]]:
+        """Jacobians by (ln f, ln ζ) and residuals, both in standard errors, real parts first.
 
         ``poles``: those of the fit.
         """
         every = poles.joined(self.fixed)
-        parts = [project(block, every) for block in self.items]
-        slopes = [
-            jacobian(block, every, part)[:, : 2 * len(poles)] for block, part in zip(self.items, parts, strict=True)
-        ]
-        left = [as_real(part.left, block) for block, part in zip(self.items, parts, strict=True)]
-        return slopes, left, float(sum(part.chi2 for part in parts))
+        pairs = [(block, project(block, every)) for block in self.items]
+        slopes = [jacobian(block, every, part)[:, : 2 * len(poles)] for block, part in pairs]
+        return slopes, [as_real(part.left, block) for block, part in pairs]
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,17 +455,14 @@ def project(block: Block, poles: Poles) -> Projected:
     That behind the poles that were asked for last is kept: the others may move.
     """
     reached = block.reached(poles)
-    natural_hz, damping = poles.frequency_hz[reached], poles.damping[reached]
-
-    def eliminated() -> Projected:
-        return _eliminated(block, reached, block.design(natural_hz, damping))
-
-    return _latest(block, "_projections", (reached, natural_hz, damping), eliminated)
+    near = poles.chosen(reached)
+    key = (reached, near.frequency_hz, near.damping)
+    return _latest(block, "_projection", key, lambda: _eliminated(block, reached, near))
 
 
-def _eliminated(block: Block, reached: Ints, design: Complexes) -> Projected:
-    """``block`` with the terms of ``design`` (K, terms) eliminated, those of the modes ``reached`` the last of them."""
-    weight = block.weight
+def _eliminated(block: Block, reached: Ints, near: Poles) -> Projected:
+    """``block`` with its linear terms eliminated, those of the modes ``near``, which are number ``reached``, last."""
+    weight, design = block.weight, block.design(near.frequency_hz, near.damping)
     weighted = design.T * weight[:, None]
     scale = np.maximum(np.linalg.norm(weighted, axis=2), 1e-300)
     weighted /= scale[..., None]
@@ -341,7 +471,7 @@ def _eliminated(block: Block, reached: Ints, design: Complexes) -> Projected:
     measured = rows.measured * weight
     along = (np.swapaxes(basis, 1, 2).conj() @ measured[..., None])[..., 0]
     left = measured - (basis @ along[..., None])[..., 0]
-    degrees_of_freedom = rows.parts * (int(rows.counts.sum()) - len(rows.channels) * design.shape[1])
+    degrees_of_freedom = rows.numbers - rows.parts * len(rows.channels) * design.shape[1]
     return Projected(reached, basis, triangle, scale, along, left, float(np.vdot(left, left).real), degrees_of_freedom)
 
 
@@ -449,7 +579,7 @@ def with_best_law(block: Block, poles: Poles) -> Block:
             trial = with_bent_law(trial, poles)
         trial, part = with_scatter(trial, poles)
         terms = rows.parts * (len(rows.channels) * (trial.degree + 1) + bends)
-        new = deviance_of(trial, part) + terms * float(np.log(rows.parts * int(rows.counts.sum())))
+        new = deviance_of(trial, part) + terms * float(np.log(rows.numbers))
         if new < cost:
             best, cost = trial, new
         if best.scatter <= ORDER_TERMS.least_scatter:
@@ -462,84 +592,8 @@ def with_bent_law(block: Block, poles: Poles) -> Block:
     if not (law := block.force.law):
         return block
     part = project(block, poles)
-    bends = force_slopes(block, part, len(law)).reshape(-1, len(law))
-    left = part.left.ravel()
-    solved = (
-        np.linalg.lstsq(bends.real, left.real, rcond=1e-6)
-        if block.rows.power
-        else np.linalg.lstsq(bends, left, rcond=1e-6)
-    )
-    step = solved[0]
+    bends, left = force_slopes(block, part, len(law)).reshape(-1, len(law)), part.left.ravel()
+    real = block.rows.power
+    step = np.linalg.lstsq(bends.real if real else bends, left.real if real else left, rcond=1e-6)[0]
     step *= min(1.0, MOST_BEND / max(float(np.abs(step).max()), 1e-300))
     return replace(block, force=replace(block.force, law=tuple((np.array(law) + step).tolist())))
-
-
-def fitting(
-    problem: Problem, fit: SurfaceFit, blocks: tuple[Block, ...], *, fixed: Poles = NO_POLES
-) -> tuple[Problem, SurfaceFit]:
-    """Joint fit of ``problem`` with those of ``blocks`` that sweep through poles of ``fit`` and agree with them.
-
-    Each counts by its errors and the scatter that the poles leave, the ``fixed`` ones of other bands included.
-    """
-    blocks = tuple(block for block in blocks if len(block.reached(fit.poles)) or not len(fixed))
-    for _ in range(2):
-        every = fit.poles.joined(fixed)
-        blocks = tuple(with_scatter(block, every)[0] for block in blocks)
-        good = tuple(block for block in blocks if block.scatter <= NUMBERS.most_scatter)
-        if not good:
-            return replace(problem, others=None), fit
-        problem = replace(problem, others=Blocks(good, fixed))
-        fit = fit_surface(problem, fit.poles, start=fit.model, steps=10)
-    return problem, fit
-
-
-def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, ...]:
-    """OrderResponse of each channel of ``blocks`` that have phases, for the ``modes``."""
-    responses = []
-    for block in blocks:
-        if block.rows.power:
-            continue
-        scattered, part = with_scatter(block, modes)
-        first = scattered.degree + 1
-        linear, covariance = part.linear, part.covariance * part.beyond_errors
-        slopes = _terms_by_poles(scattered, modes, part)
-        rows = scattered.rows
-        is_told = part.degrees_of_freedom > 0 and rows.blur_hz < UNTOLD_HZ
-        fits = is_told and scattered.scatter <= NUMBERS.most_scatter
-        for number, channel in enumerate(rows.channels):
-            residue = np.zeros(len(modes), dtype=complex)
-            residue[part.reached] = linear[number, first:]
-            responses.append(
-                OrderResponse(
-                    rows.order,
-                    channel,
-                    scattered.force,
-                    np.asarray(linear[number, :first], dtype=np.complex128),
-                    residue,
-                    part.reached,
-                    np.asarray(covariance[number], dtype=np.complex128),
-                    part.degrees_of_freedom // len(rows.channels),
-                    scattered.noise * float(np.median(rows.error[number][np.isfinite(rows.error[number])])),
-                    fits,
-                    rows.recording,
-                    slopes[number],
-                )
-            )
-    return tuple(responses)
-
-
-def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complexes:
-    """Derivatives (C, terms, 2 reached) of the linear terms by (ln f, ln ζ) of each of the ``poles`` reached.
-
-    The terms are those that explain best what was measured, wherever the poles are. ``part``: the block as projected.
-    """
-    reached = part.reached
-    bent = np.zeros((*part.linear.shape, 2 * len(reached)), dtype=np.complex128)
-    if not len(reached):
-        return bent
-    residue = part.linear[:, None, block.degree + 1 :]
-    adjoint = np.swapaxes(part.basis, 1, 2).conj()
-    for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
-        turned = slope[None] * residue * block.weight[..., None]
-        bent[..., offset::2] = -(part.solve @ (adjoint @ turned)) / part.scale[..., None]
-    return bent

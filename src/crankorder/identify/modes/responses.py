@@ -10,10 +10,17 @@ from scipy.special import chdtri, ndtri
 
 from crankorder.identify.found import ModalFit, OrderResponse, UnseenBound
 from crankorder.identify.modes.order_blocks import NUMBERS as ORDER_BLOCKS
-from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modes.order_responses import Block, Projected, force_slopes, with_scatter
-from crankorder.identify.modes.order_terms import resonance, resonance_slopes
+from crankorder.identify.modes.order_responses import (
+    UNTOLD_HZ,
+    Block,
+    Projected,
+    force_slopes,
+    resonance,
+    resonance_slopes,
+    with_scatter,
+)
+from crankorder.identify.modes.order_search import ORDER_MODES
 from crankorder.identify.modes.surface_fit import Poles, Problem, parameters_of
 from crankorder.orders.intervals import half_width, positive_interval
 from crankorder.quantities import Complexes, Floats
@@ -26,6 +33,49 @@ SPEEDS = 800
 
 ABOUT_MODE, PER_MODE = 4.0, 81
 """… and those within so many half-power widths of each mode."""
+
+
+def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, ...]:
+    """OrderResponse of each channel of ``blocks`` that have phases, for the ``modes``."""
+    responses = []
+    for block, part in (with_scatter(block, modes) for block in blocks if not block.rows.power):
+        rows, first = block.rows, block.degree + 1
+        covariance, slopes = part.covariance * part.beyond_errors, _terms_by_poles(block, modes, part)
+        for number, channel in enumerate(rows.channels):
+            residue = np.zeros(len(modes), dtype=complex)
+            residue[part.reached] = part.linear[number, first:]
+            known = rows.error[number][np.isfinite(rows.error[number])]
+            response = OrderResponse(
+                order=rows.order,
+                channel=channel,
+                force=block.force,
+                smooth=part.linear[number, :first],
+                residue=residue,
+                reached=part.reached,
+                covariance=covariance[number],
+                degrees_of_freedom=part.degrees_of_freedom // len(rows.channels),
+                error=block.noise * float(np.median(known)),
+                fits=block.tells and part.degrees_of_freedom > 0 and rows.blur_hz < UNTOLD_HZ,
+                recording=rows.recording,
+                slopes=slopes[number],
+            )
+            responses.append(response)
+    return tuple(responses)
+
+
+def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complexes:
+    """Derivatives (C, terms, 2 reached) of the linear terms by (ln f, ln ζ) of each of the ``poles`` reached.
+
+    The terms are those that explain best what was measured, wherever the poles are. ``part``: the block as projected.
+    """
+    reached = part.reached
+    bent = np.zeros((*part.linear.shape, 2 * len(reached)), dtype=np.complex128)
+    residue = part.linear[:, None, block.degree + 1 :]
+    adjoint = np.swapaxes(part.basis, 1, 2).conj()
+    for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
+        turned = slope[None] * residue * block.weight[..., None]
+        bent[..., offset::2] = -(part.solve @ (adjoint @ turned)) / part.scale[..., None]
+    return bent
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +140,9 @@ def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: M
     without = whole - parts[:, number]
     both = np.stack([columns, columns])
     both[1, :, len(response.smooth) + np.flatnonzero(response.reached == number)] = 0.0
-    errors = _errors(response, rpm, modal, np.stack([whole, without]), both, but=number)
+    error, error_without = _errors(response, rpm, modal, np.stack([whole, without]), both, but=number)
     ambiguous = NUMBERS.shape_error_share * np.sqrt(len(response.smooth) - 1) * np.abs(without)
-    rows = (np.abs(whole)[None], np.abs(without)[None], errors[:1], np.hypot(errors[1], ambiguous)[None])
+    rows = (np.abs(whole)[None], np.abs(without)[None], error[None], np.hypot(error_without, ambiguous)[None])
     return WithAndWithout(*rows, np.array([EXCLUSION.noise_sigmas * response.error]))
 
 
@@ -162,14 +212,9 @@ def held_peak(modal: ModalFit, order: float, channel: str, *, largest_rpm: float
     None where no response fits its sweeps over the speed ``largest_rpm`` at which it was seen largest. Of several
     recordings that pass the worst speed that counts which knows it best.
     """
-    near = [
-        response
-        for response in modal.responses
-        if response.fits
-        and response.recording
-        and response.channel == channel
-        and abs(response.order - order) <= ORDER_BLOCKS.same_order_share * order
-    ]
+    own = [response for response in modal.responses if response.fits and response.recording]
+    own = [response for response in own if response.channel == channel]
+    near = [response for response in own if abs(response.order - order) <= ORDER_BLOCKS.same_order_share * order]
     if not any(response.passes(largest_rpm) for response in near):
         return None
     peaks = [peak_of(response, modal) for response in near]
@@ -234,10 +279,8 @@ def least_seen(
     reach = float(np.sqrt(chdtri(2.0, 1.0 - settings.free_confidence)))
     largest = dict.fromkeys(unit.values(), 0.0)
     for block in blocks:
-        rows = block.rows
-        size = np.sqrt(rows.size) if rows.power else rows.size
-        for name, most in zip(rows.channels, size.max(axis=1).tolist(), strict=True):
-            largest[unit[name]] = max(EXCLUSION.matters_share * most, largest.get(unit[name], 0.0))
+        for name, most in zip(block.rows.channels, block.rows.linear_size.max(axis=1).tolist(), strict=True):
+            largest[unit[name]] = max(EXCLUSION.matters_share * most, largest[unit[name]])
     along = [(unseen.order, FloorBound(unseen.frequency_hz, unseen.amplification(unit, largest))) for unseen in sweeps]
     alone = [_less(_bound(block, poles, settings.least_damping_ratio, reach, unit, largest), along) for block in blocks]
     have = {block.rows.order for block in blocks}
@@ -245,8 +288,8 @@ def least_seen(
     alone += [_less(UnseenBound(order, np.empty(0), np.empty(0)), along) for order in sorted(more)]
     known = [FloorBound(unseen.order * unseen.speed_rpm / 60.0, unseen.amplification) for unseen in alone]
     bounds = []
-    for number, unseen in enumerate(alone):
-        others = [bound for k, bound in enumerate(known) if k != number and alone[k].order != unseen.order]
+    for unseen in alone:
+        others = [bound for bound, other in zip(known, alone, strict=True) if other.order != unseen.order]
         hz = unseen.order * unseen.speed_rpm / 60.0
         shared = np.min([bound.at(hz) for bound in (*others, *floors)], axis=0, initial=np.inf)
         allowed = 1.0 + EXCLUSION.selective_ratio * (shared - 1.0)
@@ -344,9 +387,9 @@ def _bound(
     """What the rows of ``block`` leave open of modes of ``damping`` and some times that, ``reach`` errors away."""
     block, part = with_scatter(block, poles)
     rows, speed = block.rows, _speeds_between(block)
-    if part.degrees_of_freedom < len(rows.channels) * rows.parts or block.scatter > ORDER_RESPONSES.most_scatter:
+    if part.degrees_of_freedom < len(rows.channels) * rows.parts or not block.tells:
         return UnseenBound(rows.order, speed, np.full(len(speed), np.inf))
-    spread = float(np.sqrt(max(1.0, part.chi2 / part.degrees_of_freedom)))
+    spread = float(np.sqrt(part.beyond_errors))
     added = np.zeros((len(rows.channels), len(speed)))
     for times in EXCLUSION.tried_damping_ratios:
         added = np.maximum(added, _added(block, part, speed, damping * times, reach * spread))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import chdtri
@@ -10,7 +12,6 @@ from scipy.special import chdtri
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.modes.floor import NUMBERS as FLOOR
 from crankorder.identify.modes.floor import Floor
-from crankorder.identify.modes.pole_errors import score_covariance
 from crankorder.identify.modes.surface_fit import (
     NO_POLES,
     Poles,
@@ -21,6 +22,7 @@ from crankorder.identify.modes.surface_fit import (
     fit_surface,
     inverse_curvature,
     pole_columns,
+    score_covariance,
 )
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
@@ -244,24 +246,18 @@ def saves_enough(problem: Problem, less: SurfaceFit, more: SurfaceFit, *, at_hz:
         return False
     if problem.averages.max(initial=0.0) < FLOOR.fewest_averages:
         return saved > HANN_CORRELATION * max(1.0, problem.seen.bin_hz / _step_hz(problem)) * limit
-    return saved > max(HANN_CORRELATION, overcounting(problem, more, at_hz)) * limit
+    # the factor by which the likelihood overstates what the data tell of the two poles nearest
+    free, inverse = more.poles.free, inverse_curvature(more)
+    near = np.argsort(np.abs(more.poles.frequency_hz - at_hz))[:2]
+    own = np.flatnonzero(np.isin(np.repeat(np.arange(len(more.poles)), 2)[free], near))
+    sandwich = score_covariance(problem, more, np.eye(len(free))[:, free] @ inverse[:, own])
+    overstated = float(np.trace(np.linalg.pinv(inverse[np.ix_(own, own)], rcond=1e-12) @ sandwich)) / len(own)
+    return saved > max(HANN_CORRELATION, overstated) * limit
 
 
 def _step_hz(problem: Problem) -> float:
     """Distance of neighbouring bins."""
     return float(problem.frequency_hz[1] - problem.frequency_hz[0])
-
-
-def overcounting(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
-    """Factor by which the likelihood overstates what the data tell of the two poles nearest to ``at_hz``.
-
-    ``problem``: the floors that were fitted; ``fit``: the fit so far.
-    """
-    free, inverse = fit.poles.free, inverse_curvature(fit)
-    near = np.argsort(np.abs(fit.poles.frequency_hz - at_hz))[:2]
-    own = np.flatnonzero(np.isin(np.repeat(np.arange(len(fit.poles)), 2)[free], near))
-    sandwich = score_covariance(problem, fit, np.eye(len(free))[:, free] @ inverse[:, own])
-    return float(np.trace(np.linalg.pinv(inverse[np.ix_(own, own)], rcond=1e-12) @ sandwich)) / len(own)
 
 
 def peaks(floor: Floor) -> Poles:
@@ -500,3 +496,82 @@ def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> 
         n_lines=len(lines),
     )
     return local, fit.poles.chosen(poles)
+
+
+JOINT_FIT = MethodNumbers("5-identify-modal.toml", "joint_fit")
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """``floor`` of a band with what it shares with the next ones; poles in ``range_hz`` (from, to) belong to it.
+
+    ``first`` and ``last`` are the bins of the whole floor that are its own, the last one excluded.
+    """
+
+    floor: Floor
+    range_hz: tuple[float, float]
+    first: int
+    last: int
+
+    def holds(self, poles: Poles) -> Bools:
+        """Which of ``poles`` (M,) lie in it or in what it shares."""
+        at, step = poles.frequency_hz, self.floor.step_hz
+        return np.asarray((at > self.floor.frequency_hz[0] - step) & (at < self.floor.frequency_hz[-1] + step))
+
+
+def bands_of(floor: Floor) -> tuple[Band, ...]:
+    """Bands of ``floor``, cut away from its peaks; one where it is short and has few."""
+    n_bins = len(floor.frequency_hz)
+    seen = _peaks_by_part(floor)
+    if n_bins <= JOINT_FIT.longest_bins and len(seen) <= JOINT_FIT.most_peaks:
+        return (Band(floor, EVERYWHERE, 0, n_bins),)
+    load = 1.0 / np.maximum(JOINT_FIT.band_bins, JOINT_FIT.band_share * floor.frequency_hz / floor.step_hz)
+    np.add.at(
+        load, np.searchsorted(floor.frequency_hz, seen.frequency_hz).clip(0, n_bins - 1), 1.0 / JOINT_FIT.band_peaks
+    )
+    load = np.cumsum(load)
+    n_bands = max(1, math.ceil(load[-1] - 1e-9))
+    cuts = [0, *(_quiet_cut(floor, seen, load, k / n_bands, n_bands) for k in range(1, n_bands)), n_bins]
+    cuts = sorted(set(cuts))
+    return tuple(_band(floor, first, last) for first, last in pairwise(cuts))
+
+
+def _band(floor: Floor, first: int, last: int) -> Band:
+    n_bins = len(floor.frequency_hz)
+    below, above = (
+        max(JOINT_FIT.shared_bins, round(JOINT_FIT.shared_share * float(floor.frequency_hz[end]) / floor.step_hz))
+        for end in (first, last - 1)
+    )
+    at = slice(max(0, first - below), min(n_bins, last + above))
+    part = replace(
+        floor,
+        frequency_hz=floor.frequency_hz[at],
+        psd=floor.psd[:, at],
+        averages=floor.averages[:, at],
+        cells=floor.cells[:, :, at],
+        whole=floor.whole[:, at],
+        strong=tuple(t for t in floor.strong if floor.frequency_hz[at][0] <= t[0] <= floor.frequency_hz[at][-1]),
+    )
+    low = floor.frequency_hz[first] - 0.5 * floor.step_hz if first else -math.inf
+    high = floor.frequency_hz[last] - 0.5 * floor.step_hz if last < n_bins else math.inf
+    return Band(part, (float(low), float(high)), first, last)
+
+
+def _peaks_by_part(floor: Floor) -> Poles:
+    """Peaks of ``floor``, looked for part by part, which takes a time that grows as the floor does."""
+    poles = NO_POLES
+    for first in range(0, len(floor.frequency_hz), JOINT_FIT.band_bins):
+        part = _band(floor, first, min(first + JOINT_FIT.band_bins, len(floor.frequency_hz)))
+        if len(part.floor.frequency_hz) >= 2 * JOINT_FIT.shared_bins:
+            here = peaks(part.floor)
+            poles = poles.joined(here.chosen(here.within(part.range_hz)))
+    return poles
+
+
+def _quiet_cut(floor: Floor, seen: Poles, load: Floats, share: float, n_bands: int) -> int:
+    """Bin near that at ``share`` of the ``load`` which lies the most widths away from any peak."""
+    low, high = np.searchsorted(load, load[-1] * (share + JOINT_FIT.slack_share / n_bands * np.array([-1.0, 1.0])))
+    bins = np.arange(max(int(low), 1), min(max(int(high), int(low) + 1), len(load) - 1) + 1)
+    width = seen.damping * seen.frequency_hz + 3.0 * floor.seen.bin_hz
+    away = (np.abs(floor.frequency_hz[bins, None] - seen.frequency_hz) / width).min(axis=1, initial=10.0)
+    return int(bins[np.argmax(away - 1e-3 * np.abs(bins - bins.mean()) / len(bins))])

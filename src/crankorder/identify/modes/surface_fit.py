@@ -5,96 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
+from crankorder.identify.modes.floor import SpectralWindow, seen_pole
+from crankorder.orders.intervals import Z95, half_widths
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
+if TYPE_CHECKING:
+    from crankorder.identify.found import Mode
+    from crankorder.identify.modes.order_responses import Blocks
+
 NUMBERS = MethodNumbers("5-identify-modal.toml", "surface_fit")
 
-SMALLEST_TERM = 1e-7
-"""Power response of the window below which a term of its autocorrelation is left out."""
 
 LOBE_BINS = 2
 """Bins on each side that the main lobe of a window covers."""
 
-FAR = 60.0
-"""Size of 2πTz from which the series in 1/z is good to 1e-6."""
 
 Range = tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class SpectralWindow:
-    """Power response of a window: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
-
-    ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.
-    """
-
-    order: Floats
-    weight: Floats
-    length_s: float
-
-    @property
-    def bin_hz(self) -> float:
-        """Width in Hz of a bin of an unpadded transform."""
-        return 1.0 / self.length_s
-
-    def kernel(self, offset_hz: Floats) -> Floats:
-        """Power response per Hz, its integral over all offsets being one, at ``offset_hz`` from a tone."""
-        real: Floats = 2.0 * _near(1e-4j + 2j * np.pi * self.length_s * np.abs(offset_hz), self)[0].real
-        return real
-
-
-def spectral_window(window: str, enbw_hz: float) -> SpectralWindow:
-    """SpectralWindow of the window ``window`` whose noise bandwidth is ``enbw_hz``.
-
-    A sum of cosines of half a period is complete, for the autocorrelation vanishes at its end: its coefficients are
-    the window's power response at every half bin.
-    """
-    shape = window_named(window, 512)
-    order = np.arange(2 * WIDEST_LOBE_BINS + 1, dtype=np.float64)
-    power = shape.response(0.5 * order) ** 2
-    power[0] = 0.5
-    kept = power > SMALLEST_TERM
-    return SpectralWindow(order[kept], power[kept] / power[kept].sum(), shape.enbw_bins / enbw_hz)
-
-
-def _near(a: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
-    """∫ c(t) exp(−a t) dt over a window's length, times that length, and its derivative by a."""
-    decay = np.exp(-a)
-    even = np.where(seen.order % 2 == 0, seen.weight, 0.0)
-    both = np.stack([even, seen.weight - even], axis=1)  # terms whose cosine ends at 1, and at −1
-    top = np.stack([1.0 - decay, 1.0 + decay], axis=-1)
-    over = 1.0 / ((a * a)[..., None] + (np.pi * seen.order) ** 2)
-    once, twice = over @ both, (over * over) @ both
-    value = (top * once).sum(axis=-1)
-    slope = value + a * (decay * (once[..., 0] - once[..., 1]) - 2.0 * a * (top * twice).sum(axis=-1))
-    return seen.length_s * a * value, seen.length_s * slope
-
-
-def seen_pole(z_hz: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
-    """What the window makes of 1 / (2π z): value and derivative by z at ``z_hz`` = σ + i (f − f_d), σ > 0.
-
-    The autocorrelation exp(2π (i f_d − σ) τ) of a resonance is cut by the window's own, whatever its decay, so that
-    both the spectrum of a tone (σ → 0) and a broad resonance come out exactly.
-    ``seen``: how the window sees power.
-    """
-    scale = 2.0 * np.pi * seen.length_s
-    a = scale * z_hz
-    curve = np.pi**2 * float(seen.weight @ seen.order**2)
-    fourth = np.pi**4 * float(seen.weight @ seen.order**4)
-    inverse = 1.0 / a
-    square = inverse * inverse
-    value = seen.length_s * inverse * (1.0 - square * (curve - fourth * square))
-    slope = -seen.length_s * square * (1.0 - square * (3.0 * curve - 5.0 * fourth * square))
-    close = np.abs(a) < FAR
-    value[close], slope[close] = _near(a[close], seen)
-    return value, scale * slope
 
 
 def pole_columns(
@@ -138,16 +70,6 @@ LITTLE = 0.01
 """Deviance of a step that tells nothing: by a tenth of a standard error it moves what it moves."""
 
 
-class Others(Protocol):
-    """Further data that depend on the same poles."""
-
-    def misfit(self, poles: Poles) -> float:
-        """Sum of the squared residuals of ``poles``, in standard errors."""
-
-    def evaluate(self, poles: Poles) -> tuple[list[Floats], list[Floats], float]:
-        """Jacobians by (ln f, ln ζ) of all poles, residuals (in standard errors) and the sum of their squares."""
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Floors to be fitted: ``frequency_hz`` (F,), ``psd`` and ``averages`` (C, F; none where masked), ``background``.
@@ -161,7 +83,7 @@ class Problem:
     averages: Floats
     seen: SpectralWindow
     background: Floats
-    others: Others | None = None
+    others: Blocks | None = None
     n_lines: int = 0
 
 
@@ -188,8 +110,12 @@ class Poles:
 
         ``frequency_hz``: in Hz; ``damping``: their ratios.
         """
-        every = self.joined(poles_at([(frequency_hz, damping)]))
-        return every.chosen(every.rank)
+        return self.joined(poles_at([(frequency_hz, damping)])).rising
+
+    @property
+    def rising(self) -> Poles:
+        """The poles, lowest first."""
+        return self.chosen(self.rank)
 
     @property
     def rank(self) -> Ints:
@@ -219,11 +145,8 @@ class Poles:
         """Which (2 M,) of (ln f_1, ln ζ_1, …) a fit is free to move: not the damping of tones."""
         return np.stack([np.ones(len(self), dtype=bool), ~self.tone], axis=1).ravel()
 
-    def as_tone(self, number: int, is_tone: bool, *, width_hz: float) -> Poles:
-        """With number ``number`` a tone, or a mode of the half width ``width_hz``.
-
-        ``is_tone``: whether it is one.
-        """
+    def with_width(self, number: int, width_hz: float, *, is_tone: bool = False) -> Poles:
+        """With number ``number`` a mode of the half width ``width_hz``, or a tone (``is_tone``)."""
         tone, damping = self.tone.copy(), self.damping.copy()
         tone[number], damping[number] = is_tone, width_hz / self.frequency_hz[number]
         return Poles(self.frequency_hz, damping, tone)
@@ -238,10 +161,14 @@ def poles_at(values: Iterable[tuple[float, float]]) -> Poles:
     return Poles(frequency, damping, np.zeros(len(frequency), dtype=bool))
 
 
+def poles_of_modes(modes: Iterable[Mode]) -> Poles:
+    """Poles of ``modes``, in their order."""
+    return poles_at((mode.frequency_hz, mode.damping_ratio) for mode in modes)
+
+
 def parameters_of(numbers: ArrayLike) -> Ints:
     """Numbers (2 N,) among (f_1, ζ_1, f_2, …) of the parameters of the poles ``numbers`` (N,)."""
-    first = 2 * np.asarray(numbers, dtype=np.int64)
-    return np.stack([first, first + 1], axis=1).ravel()
+    return np.asarray(2 * np.asarray(numbers, dtype=np.int64)[:, None] + np.arange(2)).ravel()
 
 
 def covariance_among(covariance: Floats, numbers: ArrayLike) -> Floats:
@@ -269,12 +196,12 @@ class SurfaceFit:
     basis: Floats
     triangle: Floats
     left: Floats
-    others: Others | None
+    others: Blocks | None
 
     @cached_property
     def _further(self) -> tuple[Sequence[Floats], Sequence[Floats]]:
         """Jacobians and residuals of the other data."""
-        return self.others.evaluate(self.poles)[:2] if self.others is not None and len(self.poles) else ((), ())
+        return self.others.evaluate(self.poles) if self.others is not None and len(self.poles) else ((), ())
 
     @property
     def residual(self) -> tuple[Floats, ...]:
@@ -343,14 +270,15 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Floats, same: SurfaceFit
     else:
         own = pole_columns(problem.frequency_hz, poles.frequency_hz, poles.damping, problem.seen)
         columns, slopes = np.concatenate([own[0], problem.background]), own[1:]
-    weight = np.where(problem.averages > 0.0, np.sqrt(problem.averages) / weight_by, 0.0)
-    measured = weight * np.where(problem.averages > 0.0, problem.psd, 0.0)
+    used = problem.averages > 0.0
+    weight = np.where(used, np.sqrt(problem.averages) / weight_by, 0.0)
+    measured = weight * np.where(used, problem.psd, 0.0)
     q, triangles = np.linalg.qr((columns * weight[:, None]).swapaxes(1, 2))
     along = q.swapaxes(1, 2) @ measured[..., None]
     linear = _back_solved(triangles, along[..., 0])
     left = measured - (q @ along)[..., 0]
     model = np.maximum(linear @ columns, NUMBERS.smallest_model_share * np.nan_to_num(problem.psd))
-    model = np.where((problem.averages > 0.0) & (model > 0.0), model, 1.0)
+    model = np.where(used & (model > 0.0), model, 1.0)
     missed = float(gamma_deviance(problem.psd, problem.averages, model).sum())
     if problem.others is not None and len(poles):
         missed += problem.others.misfit(poles)
@@ -376,10 +304,8 @@ def _back_solved(r: Floats, along: Floats) -> Floats:
 def first_model(problem: Problem) -> Floats:
     """Powers (C, F) of the floors in ``problem``, smoothed over a window's main lobe: a first model."""
     used, edge = problem.averages > 0.0, ((0, 0), (LOBE_BINS, LOBE_BINS))
-    count, power = (
-        np.lib.stride_tricks.sliding_window_view(np.pad(values, edge), 2 * LOBE_BINS + 1, axis=1).sum(axis=2)
-        for values in (used, np.where(used, problem.psd, 0.0))
-    )
+    both = np.pad([used, np.where(used, problem.psd, 0.0)], ((0, 0), *edge))
+    count, power = np.lib.stride_tricks.sliding_window_view(both, 2 * LOBE_BINS + 1, axis=2).sum(axis=3)
     return np.asarray(np.where(used & (power > 0.0), power / np.maximum(count, 1), 1.0))
 
 
@@ -400,9 +326,8 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, 
         current = again
     if not len(poles):
         return current
-    factor, still, taken = 1e-3, 0, True
+    factor, still, taken, free = 1e-3, 0, True, poles.free
     for _ in range(steps):
-        free = poles.free
         hessian, slope = current.normal()
         hessian, slope = hessian[np.ix_(free, free)], slope[free]
         scale = np.maximum(np.diag(hessian), 1e-6 * np.trace(hessian) / len(hessian))
@@ -448,8 +373,190 @@ def _moved(poles: Poles, move: Floats, problem: Problem) -> Poles:
     shift = np.clip(by[:, 0], -reach, reach)
     low, high = 0.5 * problem.frequency_hz[0], 1.2 * problem.frequency_hz[-1]
     frequency = np.clip(poles.frequency_hz * np.exp(shift), low, high)
-    narrowest = np.minimum(
-        TONE_BINS * problem.seen.bin_hz / frequency, NUMBERS.widest_damping_ratio
-    )  # a bin may be all of a low frequency
-    damping = np.clip(poles.damping * np.exp(np.clip(by[:, 1], -1.2, 1.2)), narrowest, NUMBERS.widest_damping_ratio)
+    widest = NUMBERS.widest_damping_ratio
+    narrowest = np.minimum(TONE_BINS * problem.seen.bin_hz / frequency, widest)  # a bin may be all of a low frequency
+    damping = np.clip(poles.damping * np.exp(np.clip(by[:, 1], -1.2, 1.2)), narrowest, widest)
     return Poles(frequency, np.where(poles.tone, narrowest, damping), poles.tone)
+
+
+POLE_ERRORS = MethodNumbers("5-identify-modal.toml", "pole_errors")
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A part of the data that tells poles by itself: its ``hessian`` (P, P) and ``score`` (P,) by ln f_1, ln ζ_1, …"""
+
+    hessian: Floats
+    score: Floats
+
+
+def disagreement(cells: Sequence[Cell], inverse: Floats, known: Floats) -> Floats:
+    """Factor (P,), 1 or more, by which poles err more than is ``known``, as their ``cells`` disagree about them.
+
+    ``known`` (P,) is the variance of the parameters without that, ``inverse`` (P, P) that of the whole curvature. What
+    one cell asks for beside the others is its influence; the sum of the squares of all is a variance of its own. What
+    it is over the known one has as few degrees of freedom as cells count: Student's t (Satterthwaite 1946), so that
+    the factor is that of a 95 % interval.
+    """
+    influence = np.array([inverse @ cell.score for cell in cells])
+    share = np.array([np.diag(inverse @ cell.hessian @ inverse) for cell in cells])
+    share = np.maximum(share, 0.0) / np.maximum(share.sum(axis=0), 1e-300)
+    influence -= share * influence.sum(axis=0)
+    squared = np.where(share.sum(axis=0) > 0.0, np.sum(share**2, axis=0), 1.0)
+    for_few = np.minimum(1.0 / np.maximum(1.0 - squared, 1e-9), POLE_ERRORS.most_for_few_ratio)
+    excess = np.maximum(np.sum(influence**2, axis=0) * for_few - known, 0.0)
+    few = np.maximum(1.0 / squared - 1.0, 1.0)
+    degrees_of_freedom = few / np.maximum(excess / (known + excess), 1e-6) ** 2
+    return np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(degrees_of_freedom) / Z95, 1.0)
+
+
+def neighbours_together(scores: Floats, reach: int) -> Floats:
+    """Sum (P, P) of the products of ``scores`` (N, P) with themselves and their neighbours (Newey and West 1987).
+
+    ``reach``: how many neighbours on each side count.
+    """
+    total = scores.T @ scores
+    for lag in range(1, reach + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        total += (1.0 - lag / (reach + 1.0)) * (product + product.T)
+    return np.asarray(total)
+
+
+POINTS_PER_BIN = 4
+"""Points of the integral over frequency per bin of the window."""
+
+
+POINTS_PER_MODE = 49
+"""Points of the integral over each mode that is narrower than a few bins."""
+
+
+NEAR_BINS = 3
+"""Bins on each side that a point of the integral is seen in."""
+
+
+NODES_AT_ONCE = 64
+"""Points of the integral at which derivatives are joined over channels at a time."""
+
+
+def score_covariance(problem: Problem, fit: SurfaceFit, along: Floats) -> Floats:
+    """Covariance (P, P) ``along`` (2M, P) of the score Σ Jᵀ r of ``fit``: of its log likelihood's slopes by the poles.
+
+    The score is a weighted sum of periodogram ordinates with weights φ(ν), so its covariance is ∫ φφᵀ S² dν / T, T the
+    time recorded (Brillinger 1981, theorem 5.10.1): overlapping bins and frames and the memory of narrow modes are in
+    it. Two channels share noise where the same modes make their power: |S_cd|² = S_c S_d (Σ_j √(s_cj s_dj))², with s_cj
+    the share of mode j in channel c; its largest value, for the signs are not known.
+    ``problem``: the floors that were fitted.
+    """
+    nodes, weights = _nodes(problem, fit)
+    power, shares = _resolved(problem, fit, nodes)
+    seen = problem.seen
+    bin_hz = float(problem.frequency_hz[1] - problem.frequency_hz[0])
+    reach = max(1, round(seen.bin_hz / bin_hz))
+    offsets = np.arange(-NEAR_BINS * reach, NEAR_BINS * reach + 1)
+    at = np.rint((nodes - problem.frequency_hz[0]) / bin_hz).astype(np.int64)[:, None] + offsets
+    inside = (at >= 0) & (at < len(problem.frequency_hz))
+    kernel = seen.kernel(problem.frequency_hz[0] + bin_hz * at - nodes[:, None])
+    # ∫ kernel² is what one average makes of white noise: it turns averages into time
+    lags = np.linspace(-4.0, 4.0, 801) * seen.bin_hz
+    squared = float(np.sum(seen.kernel(lags) ** 2) * (lags[1] - lags[0]))
+    n, n_channels = problem.averages, len(problem.psd)
+    by_bin = along.T @ np.stack([j.T for j in fit.jacobian[:n_channels]])
+    by_bin *= np.where(n > 0.0, np.sqrt(n) / fit.model, 0.0)[:, None]
+    by_bin = np.ascontiguousarray(by_bin.transpose(2, 0, 1)).reshape(len(problem.frequency_hz), -1)
+    times = np.full((n_channels, len(nodes)), np.inf)
+    for row, some in zip(times, n, strict=True):
+        if (some > 0.0).any():  # what a masked frequency leaks into kept bins was recorded as long as those
+            row[:] = np.interp(nodes, problem.frequency_hz[some > 0.0], some[some > 0.0]) * squared
+    scale = (power * np.sqrt(weights / times)).T[..., None]
+    roots = np.sqrt(shares).transpose(2, 0, 1)
+    total = np.zeros((along.shape[1],) * 2)
+    for some in np.array_split(np.arange(len(nodes)), max(1, len(nodes) // NODES_AT_ONCE)):
+        first, last = at[some].clip(0, len(by_bin) - 1)[[0, -1], [0, -1]]
+        node, tap = np.nonzero(inside[some])
+        spread = np.zeros((len(some), last + 1 - first))
+        spread[node, at[some][node, tap] - first] = kernel[some][node, tap]
+        phi = (spread @ by_bin[first : last + 1]).reshape(len(some), n_channels, -1) * scale[some]
+        common = np.minimum((roots[some] @ roots[some].transpose(0, 2, 1)) ** 2, 1.0)
+        common[:, np.arange(n_channels), np.arange(n_channels)] = 1.0
+        total += phi.reshape(-1, len(total)).T @ (common @ phi).reshape(-1, len(total))
+    return total
+
+
+def _nodes(problem: Problem, fit: SurfaceFit) -> tuple[Floats, Floats]:
+    """Points in Hz and weights of the integral: denser where modes are narrow."""
+    frequency, bin_hz = problem.frequency_hz, problem.seen.bin_hz
+    step = bin_hz / POINTS_PER_BIN
+    nodes = [np.arange(frequency[0] - bin_hz, frequency[-1] + bin_hz, step)]
+    turned = np.tan(np.linspace(-1.5, 1.5, POINTS_PER_MODE))
+    for f, zeta, tone in zip(fit.poles.frequency_hz, fit.poles.damping, fit.poles.tone, strict=True):
+        if zeta * f < 2.0 * bin_hz and not tone:
+            nodes.append(f + zeta * f * turned)
+    every = np.unique(np.concatenate(nodes))
+    every = every[(every > frequency[0] - bin_hz) & (every < frequency[-1] + bin_hz)]
+    return every, np.gradient(every)
+
+
+def _resolved(problem: Problem, fit: SurfaceFit, nodes: Floats) -> tuple[Floats, Floats]:
+    """Power (C, V) at ``nodes`` as no window blurs it, and the modes' shares (C, M, V) in it."""
+    n_poles, n_channels = len(fit.poles), len(fit.linear)
+    parts = np.zeros((n_channels, n_poles, len(nodes)))
+    for number in range(n_poles):
+        f, zeta = fit.poles.frequency_hz[number], fit.poles.damping[number]
+        sigma = zeta * f
+        p, q = fit.linear[:, 2 * number], fit.linear[:, 2 * number + 1]
+        if fit.poles.tone[number]:  # a tone has no scatter of its own, but noise beats with its skirts
+            skirts = fit.part(number)
+            skirts[:, np.abs(problem.frequency_hz - f) < POLE_ERRORS.tone_bins * problem.seen.bin_hz] = 0.0
+            parts[:, number] = [np.interp(nodes, problem.frequency_hz, row) for row in skirts]
+            continue
+        damped = f * np.sqrt(1.0 - zeta**2)
+        near, far = 1.0 / (sigma + 1j * (nodes - damped)), 1.0 / (sigma + 1j * (nodes + damped))
+        parts[:, number] = sigma * (np.outer(p, near.real + far.real) + np.outer(q, far.imag - near.imag))
+    n_smooth = len(problem.background) - problem.n_lines
+    smooth = np.stack([np.interp(nodes, problem.frequency_hz, row) for row in problem.background[:n_smooth]])
+    power = parts.sum(axis=1) + fit.linear[:, 2 * n_poles : 2 * n_poles + n_smooth] @ smooth
+    for row, model, n in zip(power, fit.model, problem.averages, strict=True):
+        used = n > 0.0  # the model of masked bins is none
+        if used.any():
+            np.maximum(row, 0.02 * np.interp(nodes, problem.frequency_hz[used], model[used]), out=row)
+    power = np.maximum(power, np.finfo(np.float64).tiny)
+    return power, np.clip(parts / power[:, None], 0.0, 1.0)
+
+
+def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Floats:
+    """Covariance (2M, 2M) of (f_1, ζ_1, f_2, …), inflated by the mean square residual ``scatter`` (M,) around each.
+
+    The sandwich of the fit's own curvature and the covariance of its score (White 1982).
+    ``problem``: the floors that were fitted.
+    """
+    free = fit.poles.free
+    if not len(free):
+        return np.zeros((0, 0))
+    inverse = inverse_curvature(fit)
+    inner = score_covariance(problem, fit, np.eye(len(free))[:, free])
+    for j in fit.jacobian[len(problem.psd) :]:
+        # channels may share the noise of an order's amplitude: as if all did
+        inner = inner + len(problem.psd) * j[:, free].T @ j[:, free]
+    covariance = np.zeros((len(free), len(free)))
+    covariance[np.ix_(free, free)] = inverse @ inner @ inverse
+    scale = fit.poles.values.ravel() * np.sqrt(np.repeat(scatter, 2))
+    return np.asarray(covariance * np.outer(scale, scale))
+
+
+def covariance_of_all(fit: SurfaceFit, covariance: Floats) -> Floats:
+    """``covariance`` of ``fit``, more where channels and orders disagree about a pole beyond that."""
+    free = fit.poles.free
+    if not len(free):
+        return covariance
+    cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]
+    known = np.asarray(np.maximum(np.diag(covariance)[free] / fit.poles.values.ravel()[free] ** 2, 1e-300))
+    more = np.ones(len(free))
+    more[free] = disagreement(cells, inverse_curvature(fit), known)
+    return np.asarray(covariance * np.outer(more, more))
+
+
+def side_by_side(parts: list[Floats]) -> Floats:
+    """Square matrix with ``parts`` on its diagonal: what different bands tell is independent."""
+    from scipy.linalg import block_diag
+
+    return np.asarray(block_diag(np.zeros((0, 0)), *parts))

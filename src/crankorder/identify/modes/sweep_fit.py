@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import chdtri
 
-from crankorder.identify.modes.order_terms import resonance
+from crankorder.identify.modes.order_responses import resonance
+from crankorder.identify.modes.surface_fit import neighbours_together
 from crankorder.identify.modes.sweep_window import BEND_SPREAD, Solved, Window
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
@@ -177,11 +179,8 @@ class LocalFit:
         """
         matrix, _ = self.normal()
         scatter = np.zeros_like(matrix)
-        for score in (solved.scores(self.orders) for solved in self.solved):
-            scatter += score.T @ score
-            for lag in range(1, LAGS + 1):
-                beside = score[lag:].T @ score[:-lag]
-                scatter += (1.0 - lag / (LAGS + 1.0)) * (beside + beside.T)
+        for solved in self.solved:
+            scatter += neighbours_together(solved.scores(self.orders), LAGS)
         inverse = np.linalg.pinv(matrix, hermitian=True)
         robust = inverse @ scatter @ inverse
         plain = 0.5 * inverse * max(1.0, sum(solved.misfit for solved in self.solved) / max(self.freedom, 1))
@@ -197,9 +196,7 @@ class LocalFit:
 
     def share(self, number: int) -> float:
         """Largest part of the amplitude of an order, in any channel, that pole ``number`` makes at its peak."""
-        return max(
-            (float(part.max()) for solved in self.solved if (part := shares_of(solved, number)).size), default=0.0
-        )
+        return max(float(shares_of(solved, number).max()) for solved in self.solved)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,8 +291,6 @@ class Starts:
 
     def limit(self, chance: float) -> float:
         """What noise saves at the best of them by ``chance``."""
-        from scipy.special import chdtri
-
         return float(chdtri(self.unknowns, chance / len(self.saves)))
 
 

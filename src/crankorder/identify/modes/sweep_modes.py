@@ -10,12 +10,11 @@ import xarray as xr
 
 from crankorder.identify.found import ModalFit, Mode, SweepFits
 from crankorder.identify.modes.order_blocks import TURNS_SURELY
-from crankorder.identify.modes.order_modes import is_shown
-from crankorder.identify.modes.pole_errors import side_by_side
-from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at
+from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at, poles_of_modes, side_by_side
 from crankorder.identify.modes.sweep_fit import MOST_VALUES
 from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole, sweep_fits
 from crankorder.identify.modes.sweep_window import Solved, spectra_of
+from crankorder.identify.modes.tones import is_shown
 from crankorder.orders.swept_tracks import SMOOTHING, followed_error
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -30,45 +29,30 @@ def poles_of(swept: Sequence[SweepPole]) -> tuple[Poles, Floats]:
     return poles, np.asarray(side_by_side([pole.covariance for pole in swept]) * values * values[:, None])
 
 
-def _is_one_of(frequency_hz: float, error_hz: float, damping: float, swept: Sequence[SweepPole]) -> bool:
-    """Whether a pole that the floor shows is one of those of ``swept``: what sweeps smears the floor."""
-    return any(
-        abs(frequency_hz - pole.frequency_hz)
-        <= max(3.0 * np.hypot(error_hz, pole.frequency_error_hz), damping * frequency_hz, pole.damping * frequency_hz)
-        for pole in swept
+def unlike(poles: Poles, covariance: Floats, swept: Sequence[SweepPole]) -> Bools:
+    """Which (M,) of the ``poles`` that the floor shows, with ``covariance``, are none of ``swept``: sweeps smear it."""
+    errors, widths = np.sqrt(np.maximum(np.diag(covariance)[::2], 0.0)), poles.damping * poles.frequency_hz
+    own = np.ones(len(poles), dtype=np.bool_)
+    for pole in swept:
+        wide = np.maximum(widths, pole.damping * poles.frequency_hz)
+        near = np.maximum(3.0 * np.hypot(errors, pole.frequency_error_hz), wide)
+        own &= np.abs(poles.frequency_hz - pole.frequency_hz) > near
+    return own
+
+
+def with_sweep_modes(fit: ModalFit, swept: Sequence[SweepPole], settings: IdentifySettings) -> ModalFit:
+    """``fit`` with the modes of ``swept`` in place of those that are the same.
+
+    ``settings``: the least damping of a mode.
+    """
+    modes, (_, covariance) = [_mode_of(pole, settings=settings) for pole in swept], poles_of(swept)
+    own = np.flatnonzero(unlike(poles_of_modes(fit.modes), fit.covariance, swept))
+    return replace(
+        fit,
+        modes=(*(fit.modes[k] for k in own), *modes),
+        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in modes)),
+        covariance=side_by_side([covariance_among(fit.covariance, own), covariance]),
     )
-
-
-def poles_unlike(poles: Poles, covariance: Floats, swept: Sequence[SweepPole]) -> tuple[Poles, Floats]:
-    """Those of ``poles`` with their ``covariance`` that are none of ``swept``."""
-    errors = np.sqrt(np.maximum(np.diag(covariance)[::2], 0.0))
-    each = zip(poles.frequency_hz.tolist(), errors.tolist(), poles.damping.tolist(), strict=True)
-    own = np.array([not _is_one_of(*pole, swept) for pole in each], dtype=np.bool_)
-    return poles.chosen(own), covariance_among(covariance, np.flatnonzero(own))
-
-
-def modes_unlike(fit: ModalFit, kept: Poles, swept: Sequence[SweepPole]) -> tuple[ModalFit, Poles]:
-    """``fit``, whose modes are the poles ``kept``, without those that are of ``swept``."""
-    own = [
-        k
-        for k, mode in enumerate(fit.modes)
-        if not _is_one_of(mode.frequency_hz, mode.frequency_error_hz, mode.damping_ratio, swept)
-    ]
-    modes, covariance = tuple(fit.modes[k] for k in own), covariance_among(fit.covariance, own)
-    return replace(fit, modes=modes, covariance=covariance), kept.chosen(np.array(own, dtype=np.int64))
-
-
-def with_sweep_modes(
-    fit: ModalFit, kept: Poles, swept: Sequence[SweepPole], settings: IdentifySettings
-) -> tuple[ModalFit, Poles]:
-    """``fit`` and its poles ``kept`` with the modes of ``swept``; ``settings``: the least damping of a mode."""
-    modes = [_mode_of(pole, settings=settings) for pole in swept]
-    poles, covariance = poles_of(swept)
-    tones = tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in modes))
-    joined = replace(
-        fit, modes=(*fit.modes, *modes), tones=tones, covariance=side_by_side([fit.covariance, covariance])
-    )
-    return joined, kept.joined(poles)
 
 
 def _mode_of(pole: SweepPole, *, settings: IdentifySettings) -> Mode:
@@ -171,11 +155,11 @@ def _with_order(
     half = 0.5 * ROW_NUMBERS.inner_share * (window.high_hz - window.low_hz)
     middle = 0.5 * (window.high_hz + window.low_hz)
     near = np.abs(order * tracks["speed"].values / 60.0 - middle) <= half
-    last = window.sweep.start_s + len(window.sweep.angle_rev) / window.sweep.rate_hz
-    near &= (tracks["time"].values >= window.sweep.start_s) & (tracks["time"].values <= last)
+    since = tracks["time"].values - window.sweep.start_s
+    near &= (since >= 0.0) & (since <= window.sweep.length_s)
     if not near.any():
         return tracks
-    value, error = _values(group, fit, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
+    value, error = _values(group, fit, less, order, tracks, near)
     if alone:
         better = _rung(tracks, place, near, fit) | (error < followed_error(tracks, place)[:, near].T).all(axis=1)
         near[near], value, error = better, value[better], error[better]
@@ -185,7 +169,7 @@ def _with_order(
     if peak is not None:
         tracks, at = _with_row(tracks, peak, fit)
         near = np.insert(near, at, True)
-        value, error = _values(group, fit, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
+        value, error = _values(group, fit, less, order, tracks, near)
     held = fit.held(order, order * tracks["speed"].values[near] / 60.0) - value
     value, error = _with_witness(tracks, place, near, value, error, rung=_rung(tracks, place, near, fit))
     usable = np.isfinite(tracks["amplitude"].values[:, place][:, near].real).any(axis=1)
@@ -239,22 +223,23 @@ def _rung(tracks: xr.Dataset, place: int, near: Bools, solved: Solved) -> Bools:
 
 
 def _values(
-    group: GroupFit, solved: Solved, less: Solved, order: float, time_s: Floats, angle_rev: Floats
+    group: GroupFit, solved: Solved, less: Solved, order: float, tracks: xr.Dataset, near: Bools
 ) -> tuple[Complexes, Floats]:
-    """Amplitudes (T, C) of ``order`` at ``time_s`` and their standard errors by part.
+    """Amplitudes (T, C) of ``order`` in the rows ``near`` of ``tracks`` and their standard errors by part.
 
     So many are told at a time that the memory does not grow with the recording.
     """
-    if (parts := min(1 + len(time_s) * len(solved.left) // MOST_VALUES, len(time_s))) > 1:
-        places = zip(np.array_split(time_s, parts), np.array_split(angle_rev, parts), strict=True)
-        pieces = [_values(group, solved, less, order, *some) for some in places]
-        return np.concatenate([part for part, _ in pieces]), np.concatenate([part for _, part in pieces])
-    _, variance = solved.envelope(order, solved.window.turn(order, time_s, angle_rev), group.covariance)
-    begun = solved.as_started(order, time_s, angle_rev)
-    value, other = (_amplitude(fit, order, time_s, angle_rev) for fit in (solved, less))
-    error = 0.5 * variance + np.square(np.abs(value - other)) + np.square(ROW_NUMBERS.least_error_share * np.abs(value))
-    error += np.square(ROW_NUMBERS.begun_share * np.abs(begun))
-    return value, np.asarray(np.sqrt(error))
+    every, values, errors = np.flatnonzero(near), list[Complexes](), list[Floats]()
+    for some in np.array_split(every, min(1 + len(every) * len(solved.left) // MOST_VALUES, len(every))):
+        at = tracks["time"].values[some], tracks["crank_angle"].values[some]
+        variance = solved.envelope_variance(order, solved.window.turn(order, *at), group.covariance)
+        value, other = (_amplitude(fit, order, *at) for fit in (solved, less))
+        error = 0.5 * variance + np.square(np.abs(value - other))
+        error += np.square(ROW_NUMBERS.least_error_share * np.abs(value))
+        error += np.square(ROW_NUMBERS.begun_share * np.abs(solved.as_started(order, *at)))
+        values.append(value)
+        errors.append(np.sqrt(error))
+    return np.concatenate(values), np.concatenate(errors)
 
 
 def _amplitude(solved: Solved, order: float, time_s: Floats, angle_rev: Floats) -> Complexes:
@@ -262,7 +247,7 @@ def _amplitude(solved: Solved, order: float, time_s: Floats, angle_rev: Floats) 
     if order * solved.window.sweep.swing_rev > ROW_NUMBERS.swing_rev:
         value = solved.line(order, angle_rev)
     else:
-        value, _ = solved.envelope(order, solved.window.turn(order, time_s, angle_rev), None)
+        value = solved.envelope(order, solved.window.turn(order, time_s, angle_rev))
     return value + solved.as_started(order, time_s, angle_rev)
 
 

@@ -95,7 +95,7 @@ def sweep_fits(
         there on, for what they leave would be taken for modes
     settings : false-alarm probability, the dampings of modes, and the confidence with which one is excluded
     """
-    orders = {order for one in spectra for order in one.orders}
+    orders = {order for sweep in spectra for order in sweep.orders}
     tiles = _tiles(spectra) if orders else []
     poles: list[tuple[float, float]] = []
     looked: dict[int, TileLooked] = {}
@@ -103,8 +103,8 @@ def sweep_fits(
     asked, starts = list(range(len(tiles)))[::-1], NUMBERS.most_starts
     while asked and starts > 0:
         number = asked.pop()
-        known = orders | every
-        more = [order for order in others if all(abs(order - one) > NUMBERS.apart_share * one for one in known)]
+        known = np.array(sorted(orders | every))
+        more = [order for order in others if (np.abs(order - known) > NUMBERS.apart_share * known).all()]
         search = _Search(tuple(spectra), tuple(sorted(every)), tuple(more), settings)
         back = {side for side in (-1, 1) if number + side in looked and looked[number + side].sent == -side}
         tile = looked[number] = search.in_tile(poles, *tiles[number], back=back, most_starts=starts)
@@ -115,10 +115,9 @@ def sweep_fits(
         poles = tile.found
     groups = _groups(spectra, sorted(every), [pole for pole in poles if pole[1] <= settings.max_damping_ratio])
     refined = [_refined(spectra, sorted(every), group, poles, settings.max_damping_ratio) for group in groups]
-    sure = tuple(one for one in refined if one is not None and one.poles)
-    proven = [pole.frequency_hz for one in sure for pole in one.poles]
-    hidden: list[Hiding] = []
-    left: list[tuple[float, float]] = []
+    sure = tuple(group for group in refined if group is not None and group.poles)
+    proven = [pole.frequency_hz for group in sure for pole in group.poles]
+    hidden, left = list[Hiding](), list[tuple[float, float]]()
     for at, (low, high) in enumerate(tiles):
         fit = looked[at].fit if at in looked else None
         unseen = hidden_in(fit.bare, low, high, proven, settings=settings) if fit else []
@@ -161,10 +160,8 @@ def _windows(
     spectra: Sequence[SweepSpectrum], more: Sequence[float], low_hz: float, high_hz: float, degree: int
 ) -> tuple[Window, ...]:
     """Windows of all recordings in which any order, ``more`` among them, passes, cut at the ends of their bands."""
-    windows = [
-        Window.of(sweep, more, max(low_hz, 0.3 * NUMBERS.lowest_hz), min(high_hz, sweep.top_hz), degree=degree)
-        for sweep in spectra
-    ]
+    low_hz = max(low_hz, 0.3 * NUMBERS.lowest_hz)
+    windows = [Window.of(sweep, more, low_hz, min(high_hz, sweep.top_hz), degree=degree) for sweep in spectra]
     return tuple(window for window in windows if window is not None)
 
 
@@ -185,19 +182,14 @@ class _Search:
         None where a start beyond an end promises more, but if the tile there is one of those that send ``back``.
         """
         wide = NUMBERS.blurs * _blur_hz(self.spectra, self.shown, low, high)
-        ends = (
-            min(low * (1.0 - NUMBERS.beside_share), low - wide),
-            max(high * (1.0 + NUMBERS.beside_share), high + wide),
-        )
+        beside = NUMBERS.beside_share
+        ends = min(low * (1.0 - beside), low - wide), max(high * (1.0 + beside), high + wide)
         windows = _windows(self.spectra, self.shown, *ends, NUMBERS.search_degree) if wide else ()
         if not windows:
             return TileLooked(poles)
         near = [pole for pole in poles if ends[0] < pole[0] < ends[1]]
         natural, damping = np.array(near).reshape(-1, 2).T
-        strong = tuple(
-            window.with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders) for window in windows
-        )
-        fit, shown = LocalFit(strong, natural, damping).settled(**ROUGHLY), set[float]()
+        fit, shown = _strong_fit(windows, natural, damping).settled(**ROUGHLY), set[float]()
         tried, most = 0, min(NUMBERS.most_poles, most_starts)
         while tried < most:
             starts = Starts.of(fit, low, high)
@@ -229,28 +221,24 @@ class _Search:
     def _with_orders(self, fit: LocalFit) -> tuple[LocalFit, set[float]]:
         """``fit`` with those of the further orders that its windows show, one after the other, and which these are."""
         shown = set[float]()
-        reached = [order for order in self.more if any(_is_passed(window, order) for window in fit.windows)]
+        reached = [order for order in self.more if any(window.is_passed(order) for window in fit.windows)]
         while left := [order for order in reached if order not in fit.orders]:
-            inside = [[solved for solved in fit.solved if _is_passed(solved.window, order)] for order in left]
-            gains = [sum(solved.gain_of(order) for solved in some) for order, some in zip(left, inside, strict=True)]
+            gains = [sum(solved.gain_of(order) for solved in fit.solved) for order in left]
             unknowns = 2.0 * sum(solved.left.shape[1] * solved.width for solved in fit.solved)
             best = int(np.argmax(gains))
             least = 2.0 * NUMBERS.order_share * sum(solved.misfit for solved in fit.solved)
             if gains[best] < max(least, float(chdtri(unknowns, self.settings.false_alarm_probability / len(left)))):
                 break
             shown.add(left[best])
-            windows = tuple(
-                replace(window, orders=tuple(sorted({*window.orders, left[best]})))
-                if _is_passed(window, left[best])
-                else window
-                for window in fit.windows
-            )
+            windows = tuple(window.with_order(left[best]) for window in fit.windows)
             fit = LocalFit(windows, fit.natural_hz, fit.damping).settled(**ROUGHLY)
         return fit, shown
 
 
-def _is_passed(window: Window, order: float) -> bool:
-    return window.sweep.passes(order, window.low_hz, window.high_hz)
+def _strong_fit(windows: Sequence[Window], natural_hz: Floats, damping: Floats) -> LocalFit:
+    """Fit of ``windows``, each with its strong orders alone, behind ``natural_hz`` and ``damping`` (M,)."""
+    limits = NUMBERS.strong_share, NUMBERS.most_orders
+    return LocalFit(tuple(window.with_strong(natural_hz, damping, *limits) for window in windows), natural_hz, damping)
 
 
 def _half_width(spectra: Sequence[SweepSpectrum], more: Sequence[float], pole: tuple[float, float]) -> float:
@@ -299,9 +287,8 @@ def _refined(
     Others of those ``known`` that lie in the window take part, but are told in a group of their own. ``shown``:
     orders beside those of the recordings; ``most_damping``: the largest damping ratio of a mode.
     """
-    halves = [_half_width(spectra, shown, pole) for pole in group]
-    low = min(pole[0] - half for pole, half in zip(group, halves, strict=True))
-    high = max(pole[0] + half for pole, half in zip(group, halves, strict=True))
+    places, halves = np.array(group)[:, 0], np.array([_half_width(spectra, shown, pole) for pole in group])
+    low, high = float((places - halves).min()), float((places + halves).max())
     held = [sweep for sweep in spectra if _windows([sweep], shown, low, high, max(NUMBERS.degrees))]
     fits: list[LocalFit] = []
     beside = [pole for pole in known if low < pole[0] < high and pole not in group]
@@ -311,11 +298,8 @@ def _refined(
         if not windows:
             return None
         bends = {order: bend for fit in fits for window in fit.windows for order, bend in window.bends.items()}
-        windows = tuple(
-            replace(window, bends=bends).with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders)
-            for window in windows
-        )
-        fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
+        bent = [replace(window, bends=bends) for window in windows]
+        fits.append(_strong_fit(bent, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits
     moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1)
@@ -342,7 +326,8 @@ def _pole(fit: LocalFit, number: int, covariance: Floats) -> SweepPole:
     f, zeta = float(fit.natural_hz[number]), float(fit.damping[number])
     orders, channels, ends = set[float](), dict[str, None](), list[float]()
     for solved in fit.solved:
-        shares, spread = shares_of(solved, number), _variance(solved, number)
+        shares, at = shares_of(solved, number), np.eye(solved.width, dtype=complex)[[solved.window.degree + 1 + number]]
+        spread = np.stack([solved.spread(order, at) * solved.noise for order in solved.window.orders])
         ratio = np.square(np.abs(solved.residues[:, number])) / np.maximum(spread, 1e-300)
         dof = 2.0 * max(len(solved.left) - len(solved.scale), 1)
         shown = (fdtrc(2.0, dof, ratio) <= NUMBERS.proof_chance) & (shares >= NUMBERS.felt_share)
@@ -356,15 +341,6 @@ def _pole(fit: LocalFit, number: int, covariance: Floats) -> SweepPole:
                 channels |= {name: None for name, is_shown in names if is_shown}
     span = (min(ends), max(ends)) if ends else (0.0, 0.0)
     return SweepPole(f, zeta, covariance, tuple(channels), tuple(sorted(orders)), span, fit.share(number))
-
-
-def _variance(solved: Solved, number: int) -> Floats:
-    """Variance (orders, C) of the residues of mode ``number``, a complex number's whole one."""
-    at = np.arange(len(solved.window.orders)) * solved.width + solved.window.degree + 1 + number
-    inverse = solved.inverse[at] / solved.scale[at, None]
-    left, free = solved.left, max(len(solved.left) - len(solved.scale), 1)
-    scatter = np.square(solved.window.level) * np.sum(np.abs(left) ** 2, axis=0) / free
-    return np.asarray(np.sum(np.abs(inverse) ** 2, axis=1)[:, None] * scatter)
 
 
 CELL = 0.005
@@ -425,8 +401,7 @@ def _of_order(solved: Solved, place: int, cells: Floats, added: Floats, known: S
     path = window.paths(solved.natural_hz, solved.damping, at) * force[:, None]
     amplitude, degree = solved.amplitude[own], window.degree + 1
     scatter = np.square(window.level) * solved.misfit / max(solved.freedom, 1)
-    spread = np.sum(np.abs(path @ (solved.inverse[own] / solved.scale[own, None])) ** 2, axis=1)
-    error = np.sqrt(spread * scatter[:, None])
+    error = np.sqrt(solved.spread(order, path) * scatter[:, None])
     by_mode, is_known = np.einsum("gm,mc->mcg", path[:, degree:], amplitude[degree:]), np.array(known, dtype=np.bool_)
     base = np.abs((path[:, :degree] @ amplitude[:degree]).T + by_mode[is_known].sum(axis=0))
     most = added[:, kept] * np.abs(force) + np.abs(by_mode[~is_known]).sum(axis=0)

@@ -20,7 +20,7 @@ from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 from scipy.linalg.blas import zherk
 
-from crankorder.identify.modes.order_terms import resonance
+from crankorder.identify.modes.order_responses import resonance
 from crankorder.quantities import Bools, Complexes, Floats
 
 FORCE_EXPONENT = 2.0
@@ -95,9 +95,8 @@ class SweepSpectrum:
         time = np.interp(angle, self.angle_rev, np.arange(len(self.angle_rev)) / self.rate_hz)
         steady = CubicSpline(angle[::SWING_POINTS], time[::SWING_POINTS])
         off = (time - steady(angle)) / np.maximum(steady(angle, 1), 1e-9)
-        return float(
-            np.median(np.std(off[: len(off) // SWING_POINTS * SWING_POINTS].reshape(-1, SWING_POINTS), axis=1))
-        )
+        cycles = off[: len(off) // SWING_POINTS * SWING_POINTS].reshape(-1, SWING_POINTS)
+        return float(np.median(np.std(cycles, axis=1)))
 
     @property
     def length_s(self) -> float:
@@ -136,33 +135,26 @@ def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpe
         if "waveform" not in tracks or tracks.sizes["sample"] < fewest:
             continue
         signals, rate = tracks["waveform"].values.astype(np.float64), float(tracks.attrs["waveform_rate_hz"])
-        names = tuple(str(name) for name in tracks["channel"].values)
-        n = _even_length(signals.shape[1])
+        parts = signals.shape[1] // THINNED
+        while parts > 1 and next_fast_len(parts) != parts:  # the largest length that a transform likes
+            parts -= 1
+        n = parts * THINNED
         signals = signals[:, :n]
-        spectra.append(
-            SweepSpectrum(
-                str(tracks.attrs["recording"]),
-                names,
-                tuple(sorted(tracks["order"].values.tolist())),
-                float(tracks.attrs["waveform_start_s"]),
-                rate,
-                min(float(tracks.attrs["waveform_band_hz"]), 0.47 * rate),
-                np.arange(n // 2 + 1) * rate / n,
-                rfft(signals - signals.mean(axis=1, keepdims=True), axis=1),
-                tracks["waveform_angle"].values[:n],
-                tracks["waveform_speed"].values[:n],
-                int(tracks.attrs["revs_per_cycle"]),
-            )
+        spectrum = SweepSpectrum(
+            recording=str(tracks.attrs["recording"]),
+            channels=tuple(str(name) for name in tracks["channel"].values),
+            orders=tuple(sorted(tracks["order"].values.tolist())),
+            start_s=float(tracks.attrs["waveform_start_s"]),
+            rate_hz=rate,
+            top_hz=min(float(tracks.attrs["waveform_band_hz"]), 0.47 * rate),
+            frequency_hz=np.arange(n // 2 + 1) * rate / n,
+            spectrum=rfft(signals - signals.mean(axis=1, keepdims=True), axis=1),
+            angle_rev=tracks["waveform_angle"].values[:n],
+            speed_rpm=tracks["waveform_speed"].values[:n],
+            cycle_rev=int(tracks.attrs["revs_per_cycle"]),
         )
+        spectra.append(spectrum)
     return tuple(spectra)
-
-
-def _even_length(n: int) -> int:
-    """Largest length up to ``n`` that a transform likes and that can be thinned."""
-    parts = n // THINNED
-    while parts > 1 and next_fast_len(parts) != parts:
-        parts -= 1
-    return parts * THINNED
 
 
 @dataclass(eq=False)
@@ -203,6 +195,14 @@ class Window:
         window.level = np.sqrt(np.mean(np.abs(window.measured) ** 2, axis=1))
         return window
 
+    def is_passed(self, order: float) -> bool:
+        """Whether ``order`` passes the window at any time."""
+        return self.sweep.passes(order, self.low_hz, self.high_hz)
+
+    def with_order(self, order: float) -> Window:
+        """The window with one more ``order``, if that passes it."""
+        return replace(self, orders=tuple(sorted({*self.orders, order}))) if self.is_passed(order) else self
+
     @cached_property
     def bins(self) -> slice:
         """Bins of the transform that lie in the window."""
@@ -238,15 +238,8 @@ class Window:
         """Mean logarithm of the speed while ``order`` passes the window."""
         return float(self.sweep.logarithm[self.sweep.passing(order, self.low_hz, self.high_hz)].mean())
 
-    def force(self, order: float) -> Complexes:
-        """Transform (B,) of a force of unit size that turns by ``order``."""
-        return self._transform(order, sloped=False)
-
-    def force_slope(self, order: float) -> Complexes:
-        """Slope (B,) of :meth:`force` by the bend of ``order``."""
-        return self._transform(order, sloped=True)
-
-    def _transform(self, order: float, *, sloped: bool) -> Complexes:
+    def force(self, order: float, *, sloped: bool = False) -> Complexes:
+        """Transform (B,) of a force of unit size that turns by ``order``, or its slope by the bend (``sloped``)."""
         bend = self.bends.get(order, 0j)
         if (order, bend, sloped) not in self._made:
             inner = slice(self._beside, self._beside + len(self.frequency_hz))
@@ -361,9 +354,8 @@ class Window:
 
         ``natural_hz`` and ``damping`` (M,): of these; ``frequency_hz`` (G,): where, at the bins if left out.
         """
-        at, powers = self.frequency_hz, self.powers
-        if frequency_hz is not None:
-            at, powers = frequency_hz, self._powers_at(frequency_hz)
+        at = self.frequency_hz if frequency_hz is None else frequency_hz
+        powers = self.powers if frequency_hz is None else self._powers_at(frequency_hz)
         return np.concatenate([powers, resonance(at, natural_hz, damping)], axis=1)
 
     def solved(self, natural_hz: Floats, damping: Floats) -> Solved:
@@ -412,6 +404,17 @@ class Solved:
     def misfit(self) -> float:
         """Sum of the squared residuals."""
         return float(np.sum(np.abs(self.left) ** 2))
+
+    @property
+    def noise(self) -> Floats:
+        """Variance (C,) of a bin over the noise's shape, as the residuals tell it."""
+        free = max(len(self.left) - len(self.scale), 1)
+        return np.asarray(np.square(self.window.level) * np.sum(np.abs(self.left) ** 2, axis=0) / free)
+
+    def spread(self, order: float, seen: Complexes) -> Floats:
+        """Variance (T,), in noise of variance one, of what ``seen`` (T, width) makes of the amplitudes of ``order``."""
+        own = self._columns_of(order)
+        return np.asarray(np.sum(np.abs(seen @ (self.inverse[own] / self.scale[own, None])) ** 2, axis=1))
 
     @property
     def freedom(self) -> int:
@@ -463,7 +466,7 @@ class Solved:
         turned[:modes, :modes] = np.eye(modes)
         bent = np.empty((*self.left.shape, size), dtype=np.complex128)
         for at, order in enumerate(window.orders):
-            bent[..., at] = window.force_slope(order)[:, None] * (path @ self.by_order[at])
+            bent[..., at] = window.force(order, sloped=True)[:, None] * (path @ self.by_order[at])
             place = modes + 2 * orders.index(order)
             turned[modes + at, place : place + 2] = 1.0, 1j
         every: Complexes = np.concatenate([self._bent, bent], axis=2)
@@ -492,23 +495,24 @@ class Solved:
         bent = np.repeat(driven, 2, axis=1) * answered[:, :, None] + rung[:, :, None] * np.repeat(rings, 2, axis=0)
         return np.asarray(np.swapaxes(bent, 1, 2))
 
-    def envelope(self, order: float, turn: Complexes, covariance: Floats | None) -> tuple[Complexes, Floats]:
-        """Complex amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.
-
-        ``covariance`` (2 M, 2 M) is that of (ln f, ln ζ) of the modes, None where nobody asks for the variance.
-        """
+    def envelope(self, order: float, turn: Complexes) -> Complexes:
+        """Complex amplitude (T, C) of ``order`` where ``turn`` (T, B) says."""
         own = self._columns_of(order)
+        return np.asarray(turn @ self._unscaled(own) @ self.amplitude[own])
+
+    def envelope_variance(self, order: float, turn: Complexes, covariance: Floats) -> Floats:
+        """Variance (T, C) of :meth:`envelope` by noise and poles, whose (ln f, ln ζ) have ``covariance`` (2 M, 2 M).
+
+        ``order`` and ``turn`` (T, B): as there.
+        """
+        own, place = self._columns_of(order), self.window.orders.index(order)
         seen = turn @ self._unscaled(own)
-        value: Complexes = np.asarray(seen @ self.amplitude[own])
-        if covariance is None:
-            return value, np.zeros(value.shape)
-        power = np.sum(np.abs(self.left) ** 2, axis=0) / max(len(self.left) - len(self.scale), 1)
-        spread = np.sum(np.abs(seen @ (self.inverse[own] / self.scale[own, None])) ** 2, axis=1)
-        variance = spread[:, None] * power * np.square(self.window.level)
-        if len(self.natural_hz):
-            slope = self._slope_of_envelope(order, turn, seen)
-            variance = variance + 2.0 * np.sum((slope @ covariance) * slope.conj(), axis=2).real
-        return value, np.asarray(variance)
+        # derivatives (T, C, 2 M) by ln f and ln ζ of each mode
+        slope = turn @ (self._answers_bent[0] * self.window.force(order)[:, None])
+        slope = slope[:, None, :] * np.repeat(self.residues[place].T, 2, axis=1)
+        slope -= (seen @ self._bent_amplitude[own]).reshape(slope.shape)
+        by_poles = 2.0 * np.sum((slope @ covariance) * slope.conj(), axis=2).real
+        return np.asarray(self.spread(order, seen)[:, None] * self.noise + by_poles)
 
     def held(self, order: float, frequency_hz: Floats) -> Complexes:
         """Complex amplitude (T, C) that ``order`` would have if it were held at ``frequency_hz`` (T,)."""
@@ -544,8 +548,6 @@ class Solved:
         recording, and what its end rings came before that. The modes answered it steadily then, and decay to that.
         """
         window, sweep = self.window, self.window.sweep
-        if not len(self.natural_hz):
-            return np.zeros((len(time_s), self.left.shape[1]), dtype=np.complex128)
         logarithm, carrier = window._carrier(order)
         force = carrier * np.exp((FORCE_EXPONENT + window.bends.get(order, 0j)) * logarithm)
         pole, step = _pole(self.natural_hz, self.damping), window.thinned / sweep.rate_hz
@@ -566,18 +568,6 @@ class Solved:
         """The columns (B, own) in the unit of the transform."""
         return np.asarray(self.columns[:, own] * self.scale[own] * self.window.shape[:, None])
 
-    def _slope_of_envelope(self, order: float, turn: Complexes, seen: Complexes) -> Complexes:
-        """Derivatives (T, C, 2 M) of the amplitude of ``order`` by ln f and ln ζ of each mode.
-
-        ``turn`` (T, B) says where, ``seen`` (T, K) are its columns there.
-        """
-        window, own = self.window, self._columns_of(order)
-        answered, _ = self._answers_bent
-        force, place = window.force(order), window.orders.index(order)
-        residues = np.repeat(self.residues[place].T, 2, axis=1)  # (C, 2 M)
-        direct = (turn @ (answered * force[:, None]))[:, None, :] * residues
-        return np.asarray(direct - (seen @ self._bent_amplitude[own]).reshape(direct.shape))
-
     @cached_property
     def _bent_amplitude(self) -> Complexes:
         """Derivatives (K, C 2 M), with the other sign, of the amplitudes by ln f and ln ζ of each mode."""
@@ -587,6 +577,8 @@ class Solved:
     def gain_of(self, order: float) -> float:
         """What one ``order`` more, answered smoothly and by the modes, saves of twice the negative log likelihood."""
         window = self.window
+        if not window.is_passed(order):
+            return 0.0
         path = window.paths(self.natural_hz, self.damping)
         columns = window.force(order)[:, None] * path / window.shape[:, None]
         columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)

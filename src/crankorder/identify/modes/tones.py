@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,14 +11,17 @@ from scipy.special import chdtr, chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.cause import alike_speeds
-from crankorder.identify.found import Tone, ToneKind
+from crankorder.identify.found import AgreedOrders, ModalFit, Mode, Tone, ToneKind
+from crankorder.identify.lines.known_lines import LineSeen, found_near
 from crankorder.identify.lines.mains import NUMBERS as MAINS
-from crankorder.identify.lines.mains import multiple_on, multiples_near, supply_told
+from crankorder.identify.lines.mains import multiple_on, multiples_near, supply_told, with_mains_tones
 from crankorder.identify.modes.floor import Floor
 from crankorder.identify.modes.search import dispersion
 from crankorder.identify.modes.surface_fit import NUMBERS as SURFACE_FIT
 from crankorder.identify.modes.surface_fit import TONE_BINS as NO_WIDTH
 from crankorder.identify.modes.surface_fit import Problem, SurfaceFit, evaluate, fit_surface
+from crankorder.orders.intervals import Z95
+from crankorder.orders.joint_lines import HeldFrames, Place
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -48,23 +52,16 @@ def with_tones(
     """
     for number in range(len(fit.poles)):
         f = float(fit.poles.frequency_hz[number])
-        wide = not fit.poles.tone[number] and _is_wide(fit, number, problem, settings)
-        if wide or not fit.poles.within(own_hz)[number]:
+        if _is_wide(fit, number, problem, settings) or not fit.poles.within(own_hz)[number]:
             continue
-        tone, mode = both_ways(problem, fit, number)
-        if is_steady(floor, f) or (
-            not _width_is_seen(problem, tone, mode, f)
-            and (
-                _on_a_tone(f, fit, floor)
-                or widest_hz(problem, mode, number, tone.deviance) < NUMBERS.least_damping_ratio * f
-            )
-        ):
-            fit = tone
-        elif mode.deviance < tone.deviance or not fit.poles.tone[number]:
-            fit = mode
-        else:  # as narrow as any tone, but a mode may be so: half of what it may be at most
-            half = 0.5 * widest_hz(problem, tone, number, tone.deviance)
-            fit = evaluate(problem, tone.poles.as_tone(number, False, width_hz=half), tone.model)
+        tone = with_tone(problem, fit, number)
+        if not is_steady(floor, f):
+            least = NUMBERS.least_damping_ratio * f
+            if _width_is_seen(problem, tone, fit, f):
+                continue
+            if not _on_a_tone(f, fit, floor) and widest_hz(problem, fit, number, tone.deviance) >= least:
+                continue
+        fit = tone
     return fit
 
 
@@ -75,25 +72,20 @@ def tone_or_mode(problem: Problem, fit: SurfaceFit, number: int, *, settings: Id
     """
     if _is_wide(fit, number, problem, settings):
         return ""
-    tone, mode = both_ways(problem, fit, number)
-    f = float(fit.poles.frequency_hz[number])
-    if _width_is_seen(problem, tone, mode, f):
+    tone, f = with_tone(problem, fit, number), float(fit.poles.frequency_hz[number])
+    if _width_is_seen(problem, tone, fit, f):
         return ""
-    most = widest_hz(problem, mode, number, min(tone.deviance, mode.deviance)) / f
+    most = widest_hz(problem, fit, number, min(tone.deviance, fit.deviance)) / f
     return f"tone or mode: narrower than the frames resolve, its damping is none or at most {100.0 * most:.2g} %"
 
 
-def both_ways(problem: Problem, fit: SurfaceFit, number: int) -> tuple[SurfaceFit, SurfaceFit]:
-    """Fits with pole ``number`` of ``fit`` a tone, and a mode.
+def with_tone(problem: Problem, fit: SurfaceFit, number: int) -> SurfaceFit:
+    """Fit with pole ``number`` of ``fit`` a tone.
 
     ``problem``: the floors that were fitted.
     """
-    bin_hz = problem.seen.bin_hz
-    if fit.poles.tone[number]:
-        wide = fit.poles.as_tone(number, False, width_hz=NUMBERS.first_width_bins * bin_hz)
-        return fit, fit_surface(problem, wide, start=fit.model, steps=10)
-    none = fit.poles.as_tone(number, True, width_hz=NO_WIDTH * bin_hz)
-    return fit_surface(problem, none, start=fit.model, steps=10), fit
+    poles = fit.poles.with_width(number, NO_WIDTH * problem.seen.bin_hz, is_tone=True)
+    return fit_surface(problem, poles, start=fit.model, steps=10)
 
 
 def _on_a_tone(frequency_hz: float, fit: SurfaceFit, floor: Floor) -> bool:
@@ -127,7 +119,7 @@ def widest_hz(problem: Problem, fit: SurfaceFit, number: int, least: float) -> f
     for _ in range(MOST_WIDTHS):
         if width >= SURFACE_FIT.widest_damping_ratio * f:
             return float(width)
-        poles = fit.poles.as_tone(number, False, width_hz=width)
+        poles = fit.poles.with_width(number, width)
         if evaluate(problem, poles, fit.model).deviance > least + allowed:
             break
         width *= WIDER
@@ -226,15 +218,13 @@ def _moves(floor: Floor) -> bool:
 def _rows_that_show(frequency_hz: float, floor: Floor) -> Bools:
     """At which speeds the channel that shows a line at ``frequency_hz`` best has it: with a tenth of the most, or more.
 
-    A tone of a source of its own is there at all speeds, as large as ever; all where nothing can be compared.
+    A tone of a source of its own is there at all speeds, as large as ever.
     """
     at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
     inner = slice(max(0, at - NEAR_BINS), at + NEAR_BINS + 1)
     outer = np.r_[max(0, at - NUMBERS.beside_bins) : inner.start, inner.stop : at + NUMBERS.beside_bins]
     outer = outer[outer < floor.cells.shape[2]]
     cells = np.where(np.isfinite(floor.cells), floor.cells, 0.0) * floor.gain[:, :, None]
-    if not outer.size:
-        return np.ones(cells.shape[1], dtype=np.bool_)
     level = np.median(cells[:, :, outer], axis=2)
     excess = cells[:, :, inner].max(axis=2) - level
     best = int(np.argmax((excess / np.maximum(level.max(axis=1, keepdims=True), 1e-300)).max(axis=1)))
@@ -341,3 +331,86 @@ def at_one_speed(floor: Floor, *, settings: IdentifySettings) -> bool:
     """
     speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
     return len(speed) > 0 and bool(speed.max() < settings.mode_speed_ratio * speed.min())
+
+
+def with_tones_settled(
+    orders: AgreedOrders,
+    modal: ModalFit,
+    held: Sequence[HeldFrames],
+    known: Sequence[LineSeen],
+    *,
+    settings: IdentifySettings,
+) -> ModalFit:
+    """``modal`` with each tone as the recordings hold it: mains, a tone, or one of the ``orders``.
+
+    ``held`` are the recordings at held speeds; ``known`` lines of the mains; ``settings``: the mains frequencies and
+    how far they wander.
+    """
+    modal = with_mains_tones(modal, known, orders)
+    modal = without_absent_mains(modal, held, settings=settings)
+    return without_doubles(replace(modal, tones=with_one_mains(list(modal.tones), settings=settings)))
+
+
+def without_absent_mains(modal: ModalFit, held: Sequence[HeldFrames], *, settings: IdentifySettings) -> ModalFit:
+    """``modal`` with higher multiples of the mains called tones where one of the recordings ``held`` has none there.
+
+    A supply is there at every speed; what stands near one of its many multiples at some speeds is something else, but
+    where it is the exact multiple of a supply that the test shows: a weak one is not seen in every recording. What may
+    be mains or an order is an order where most recordings whose shaft has none there do not show it.
+    ``settings``: the mains frequencies and how far they wander.
+    """
+    mains = [tone for tone in modal.tones if tone.kind == "mains"]
+    alone_hz = MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
+    supplies = [tone for tone in mains if tone.frequency_hz <= alone_hz]
+    high = [tone for tone in mains if tone.frequency_hz > alone_hz]
+    doubted = [tone for tone in high if not any(_is_multiple(tone, supply, settings) for supply in supplies)]
+    doubted += [tone for tone in modal.tones if tone.kind == "mains or order"]
+    tones = [_unless_absent(tone, held, modal.step_hz) if tone in doubted else tone for tone in modal.tones]
+    return replace(modal, tones=tuple(tones))
+
+
+def _is_multiple(tone: Tone, supply: Tone, settings: IdentifySettings) -> bool:
+    """Whether ``tone`` is, within the errors of both, a whole multiple of what ``supply`` is one of."""
+    for own, _ in multiples_near(supply.frequency_hz, supply.frequency_error_hz, settings=settings):
+        times = round(tone.frequency_hz / supply.frequency_hz * own) / own
+        error = np.hypot(tone.frequency_error_hz, times * supply.frequency_error_hz)
+        if abs(tone.frequency_hz - times * supply.frequency_hz) <= Z95 * error:
+            return True
+    return False
+
+
+def _unless_absent(tone: Tone, held: Sequence[HeldFrames], reach_hz: float) -> Tone:
+    """``tone``, or no mains where a recording has none there although no order of its shaft hides the place.
+
+    What may be an order as well is no mains where most of such recordings have none.
+    """
+    place = tone.frequency_hz
+    inside = [run for run in held if run.reaches(1.0, run.order_of(Place(place + reach_hz)))]
+    inside = [run for run in inside if not run.is_half(run.order_of(Place(place)))]
+    shown = sum(found_near(run, place - reach_hz, place + reach_hz) is not None for run in inside)
+    either = tone.kind == "mains or order"
+    if not inside or shown >= (0.5 if either else 1.0) * len(inside):
+        return tone
+    words = f"{tone.evidence if either else 'no damping'}; {shown} of {len(inside)} recordings show it"
+    return replace(tone, kind="order" if either else "tone", evidence=words)
+
+
+def is_shown(tone: Tone, mode: Mode) -> bool:
+    """Whether ``tone`` is what the floor shows of a ``mode`` that orders raise."""
+    near = max(mode.damping_ratio * mode.frequency_hz, 3.0 * np.hypot(mode.frequency_error_hz, tone.frequency_error_hz))
+    return tone.kind == "tone" and abs(tone.frequency_hz - mode.frequency_hz) <= near
+
+
+def _is_flank(tone: Tone, other: Tone, reach_hz: float) -> bool:
+    size, more = (max(value for value, _ in line.amplitude.values()) for line in (tone, other))
+    return size < more and abs(tone.frequency_hz - other.frequency_hz) < reach_hz
+
+
+def without_doubles(modal: ModalFit) -> ModalFit:
+    """``modal`` without tones that may be orders and stand on the flank of a stronger tone.
+
+    Lines closer than the main lobe of the window are one in the map; such a one is what the fit of the stronger left.
+    """
+    reach = NEAR_BINS * modal.step_hz
+    flanks = [tone for tone in modal.tones if any(_is_flank(tone, other, reach) for other in modal.tones)]
+    return replace(modal, tones=tuple(t for t in modal.tones if "order" not in t.kind or t not in flanks))

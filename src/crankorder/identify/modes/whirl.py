@@ -11,14 +11,12 @@ from scipy.special import chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
-from crankorder.identify.modes.floor import Floor
+from crankorder.identify.modes.floor import Floor, SpectralWindow, seen_pole
 from crankorder.identify.modes.surface_fit import (
     Problem,
-    SpectralWindow,
     SurfaceFit,
     covariance_among,
     gamma_deviance,
-    seen_pole,
 )
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.identify.modes.tones import at_one_speed, on_order
@@ -291,29 +289,6 @@ PRESSURES = ("sound pressure", "pressure")
 """Quantities in which a resonance may be the air's."""
 
 
-def narrower_than_fitted(problem: Problem, fit: SurfaceFit, number: int) -> bool:
-    """Whether the flanks of pole ``number`` of ``fit`` lie far below it: a tone with something else beside it.
-
-    ``problem``: the floors that were fitted.
-    """
-    from scipy.special import chdtr
-
-    f, bin_hz = float(fit.poles.frequency_hz[number]), problem.seen.bin_hz
-    if float(fit.poles.damping[number]) * f > DOUBT_NUMBERS.flank_bins[1] * bin_hz:
-        return False
-    part = fit.part(number)
-    channel = int(np.argmax(part.max(axis=1)))
-    away = np.abs(problem.frequency_hz - f) / bin_hz
-    flank = (away > DOUBT_NUMBERS.flank_bins[0]) & (away < DOUBT_NUMBERS.flank_bins[1])
-    flank &= (problem.averages[channel] > 0.0) & (part[channel] > 0.5 * fit.model[channel])
-    if not flank.any():
-        return False
-    share = problem.psd[channel, flank] / fit.model[channel, flank]
-    degrees_of_freedom = 2.0 * float(problem.averages[channel, flank].sum()) / HANN_CORRELATION
-    low = float(chdtr(degrees_of_freedom, degrees_of_freedom * min(float(share.mean()), 1.0)))
-    return bool(float(share.mean()) < DOUBT_NUMBERS.flank_share and low < DOUBT_NUMBERS.flank_chance)
-
-
 def doubt_about(
     frequency: tuple[float, float],
     damping: tuple[float, float],
@@ -334,27 +309,26 @@ def doubt_about(
     narrow = 2.0 * zeta * f < settings.mode_min_width_bins * floor.seen.bin_hz
     if narrow and (order := on_order(f, error + zeta * f, floor, settings=settings)):
         return order
-    for tone in still:
+    reach, one_speed = DOUBT_NUMBERS.harmonic_sigmas * error, at_one_speed(floor, settings=settings)
+    hardly_wide = zeta < DOUBT_NUMBERS.wide_sigmas * zeta_error
+    for tone in still if hardly_wide else ():
         multiple = round(f / tone)
-        near = DOUBT_NUMBERS.harmonic_sigmas * error + 0.1 * floor.seen.bin_hz
-        if zeta < DOUBT_NUMBERS.wide_sigmas * zeta_error and multiple >= 2 and abs(f - multiple * tone) <= near:
+        if multiple >= 2 and abs(f - multiple * tone) <= reach + 0.1 * floor.seen.bin_hz:
             return f"{multiple} times the tone at {tone:.4g} Hz and hardly wider than one"
-    if zeta < DOUBT_NUMBERS.wide_sigmas * zeta_error and (
-        grid := on_grid(f, DOUBT_NUMBERS.harmonic_sigmas * error + zeta * f, still, floor)
-    ):
+    if hardly_wide and (grid := on_grid(f, reach + zeta * f, still, floor)):
         return grid
-    if at_one_speed(floor, settings=settings) and 2.0 * (zeta - 2.0 * zeta_error) < TONES.speed_spread_share:
+    if one_speed and 2.0 * (zeta - 2.0 * zeta_error) < TONES.speed_spread_share:
         return "no wider for sure than an order whose speed wanders by 0.2 %: at one speed a modulated order looks so"
-    known = DOUBT_NUMBERS.known_shares[1] if n_shown > 1 else DOUBT_NUMBERS.known_shares[0]
+    known = DOUBT_NUMBERS.known_shares[n_shown > 1]
     if zeta_error > known * zeta and (n_shown < 2 or prominence_db < DOUBT_NUMBERS.clear_db):
         return "its damping is not determined: a hump of the floor, a tone or a mode"
     if error > zeta * f:
         return "its frequency is less certain than it is wide"
     if NORMAL_95 * error > DOUBT_NUMBERS.uncertain_share * f:
         return f"its frequency is known to {100.0 * NORMAL_95 * error / f:.1f} % only"
-    if prominence_db < DOUBT_NUMBERS.weak_at_one_db and at_one_speed(floor, settings=settings):
+    if one_speed and prominence_db < DOUBT_NUMBERS.weak_at_one_db:
         return f"stands only {prominence_db:.1f} dB out of the floor, at one speed: modulated orders look so"
-    if n_shown < 2 and zeta_error > DOUBT_NUMBERS.well_known_share * zeta and at_one_speed(floor, settings=settings):
+    if one_speed and n_shown < 2 and zeta_error > DOUBT_NUMBERS.well_known_share * zeta:
         return "seen in one channel at one speed, its damping not well known: modulated orders look so"
     if prominence_db < DOUBT_NUMBERS.weak_db and zeta_error > DOUBT_NUMBERS.well_known_share * zeta:
         return f"stands only {prominence_db:.1f} dB out of the floor"

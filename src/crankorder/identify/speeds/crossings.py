@@ -12,7 +12,7 @@ from scipy.special import fdtrc, stdtr
 from crankorder.findings import CrossingFinding, Verdict
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Seen, Whirl
 from crankorder.identify.lines.growth import PowerLaw, power_law
-from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modes.order_search import ORDER_MODES
 from crankorder.identify.modes.responses import WithAndWithout, with_and_without
 from crankorder.orders.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
 from crankorder.quantities import Floats

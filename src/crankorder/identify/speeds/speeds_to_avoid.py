@@ -22,7 +22,7 @@ from crankorder.identify.found import (
     UnseenBound,
 )
 from crankorder.identify.lines.growth import largest, reported_within
-from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modes.order_search import ORDER_MODES
 from crankorder.identify.modes.responses import EXCLUSION, HeldPeak, peak_of, together, with_and_without
 from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
 from crankorder.identify.speeds.crossings import fitted_excess, higher, responses_to, width_rpm
