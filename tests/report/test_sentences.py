@@ -200,7 +200,7 @@ def test_a_speed_to_avoid_states_no_peak_that_is_not_known_and_no_factor_above_i
 
 @pytest.mark.slow
 def test_whether_an_order_is_locked_is_said_with_the_record_that_would_tell(full):
-    said = "Order 5.5: whether it is locked to the shaft cannot be told yet; recordings of 420 revolutions would tell."
+    said = "Order 5.5 is not yet known to be locked to the shaft; recordings of 420 revolutions would tell."
     assert said in story_of(full)["how_sure"]
     for record in full["orders"]:
         if record["order"] == 5.5:

@@ -26,6 +26,7 @@ NAME_CHARACTERS = 60
 SAME_MODE = 1e-3
 """Share of a frequency within which two numbers are those of one natural frequency."""
 
+_REASON_CHARACTERS = 600  # those that this program words are shorter
 _SAME_ORDER = 1e-4  # an order this near to one of the findings is that one
 _CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
 _LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
@@ -230,6 +231,11 @@ def named(value: object, *, limit: int) -> str:
 def short(text: object) -> str:
     """``text`` from a file, such as a name, as a sentence has it: safe to show, at most 60 characters."""
     return printable(text, NAME_CHARACTERS)
+
+
+def reason_text(text: str | None) -> str:
+    """A reason, as the end of a sentence has it: whole, safe to show, without its full stop; empty for None."""
+    return printable(text or "", _REASON_CHARACTERS).rstrip(".")
 
 
 def at_speed(rpm: float | None) -> str:

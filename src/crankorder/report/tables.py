@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import TypedDict, cast
 
@@ -25,6 +24,7 @@ from crankorder.plot.reading import (
     order_text,
     order_texts,
     percent_text,
+    reason_text,
     speeds_text,
     strongest_by,
     unit_of,
@@ -58,8 +58,6 @@ PARTS = (
 _ABOVE = ("above_band", "Above the band, of all recorded")  # no part of the band
 _SHOWN = 40  # rows of a table that a page shows at once …
 _FOLDED = 400  # … and that it holds folded away; the files hold all
-_NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_TOO_LITTLE = ("only", "fewer", "less than", "at least", "shorter", "below", "too few")
 
 
 class Column(TypedDict):
@@ -314,7 +312,7 @@ def _balance(findings: Findings, limit: int) -> Table:
         note = f"Worked out{source_text(balance)}. " if balance.source else ""
         note = f"{note}{named(balance.evidence, limit=6 * limit)}".strip()
     reason = findings.balance_reason
-    why = f" The reason: {named(reason, limit=4 * limit)}" if reason else ""
+    why = f" The reason: {reason_text(reason)}." if reason else ""
     return table_of("Balance", "Quantity|Value", rows, note=note, empty=f"No residual unbalance was worked out.{why}")
 
 
@@ -435,7 +433,7 @@ def _lines(findings: Findings, limit: int) -> Table:
 
 
 def _quality(findings: Findings, limit: int) -> Table:
-    """Remarks by kind, the gravest first: of how many recordings, and the worst of them; all of them folded away."""
+    """Remarks by kind, the gravest first: of how many recordings, and the first of them; all of them folded away."""
     rank = {"bad": 0, "suspect": 1}
     every, kinds = list[list[str]](), dict[tuple[str, str], list[Quality]]()
     for remark in sorted(findings.quality, key=lambda remark: rank.get(remark.severity, 2)):
@@ -444,34 +442,14 @@ def _quality(findings: Findings, limit: int) -> Table:
         kinds.setdefault((remark.severity, remark.flag), []).append(remark)
     rows = []
     for (severity, flag), alike in kinds.items():
-        worst, count = _worst(alike), len({remark.recording for remark in alike})
-        case = f"{named(worst.recording, limit=limit)}: {named(worst.detail, limit=4 * limit)}"
-        rows.append([named(severity, limit=limit), named(flag, limit=limit), str(count), str(len(alike)), case])
+        count, first = len({remark.recording for remark in alike}), alike[0]
+        example = f"{named(first.recording, limit=limit)}: {named(first.detail, limit=4 * limit)}"
+        rows.append([named(severity, limit=limit), named(flag, limit=limit), str(count), str(len(alike)), example])
     everything = table_of(f"All {len(every)} remarks", "Recording|Severity|Flag|Detail", every)
     more = everything if len(rows) < len(every) else None
-    heads = "Severity|Flag|Recordings#|Remarks#|Worst case"
-    note = "One row per kind; of several the one whose numbers differ most from good." if more else ""
+    heads = "Severity|Flag|Recordings#|Remarks#|First of them"
+    note = "One row per kind; all of them are folded away below." if more else ""
     return table_of("Quality", heads, rows, note=note, empty="No remark on any recording.", more=more)
-
-
-def _worst(alike: list[Quality]) -> Quality:
-    """The remark of one kind that says most: the largest number that tells its text from the others.
-
-    Of texts that tell a shortage the smallest. A count out of a whole ("3 of 70") is taken as its share.
-    """
-    numbers = [_numbers_of(remark.detail) for remark in alike]
-    telling = [column for column in zip(*numbers, strict=False) if len(set(column)) > 1]
-    if not telling:
-        return alike[0]
-    shortage = any(word in alike[0].detail for word in _TOO_LITTLE)
-    return alike[telling[-1].index((min if shortage else max)(telling[-1]))]
-
-
-def _numbers_of(detail: str) -> list[float]:
-    shares = re.sub(
-        r"\b(\d+) of (\d+)\b", lambda match: repr(int(match[1]) / int(match[2])) if int(match[2]) else match[1], detail
-    )
-    return [float(text.replace("−", "-")) for text in _NUMBER.findall(shares)]
 
 
 def _hertz(record: Record, key: str) -> str:

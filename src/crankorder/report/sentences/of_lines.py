@@ -41,6 +41,7 @@ from crankorder.plot.reading import (
     order_name,
     order_texts,
     percent_text,
+    reason_text,
     short,
     strongest_by,
     strongest_tone,
@@ -293,7 +294,7 @@ def mode_sentences(findings: Findings) -> list[str]:
         beside.setdefault(mode.lines_there_hz or (-1.0 - number,), mode)
     first = list(beside.values())[:_DOUBTS]
     for mode in first:
-        reason = named(mode.undecided or "", limit=4 * NAME_CHARACTERS).rstrip(".")
+        reason = reason_text(mode.undecided)
         text = f"{frequency_text(mode.frequency_hz)} Hz may be a natural frequency: not decided"
         sentences.append(f"{text}; {reason}." if reason else f"{text}.")
     if (rest := len(doubts) - len(first)) > 0:
@@ -306,7 +307,7 @@ def bearing_sentences(findings: Findings, *, with_rule: bool = True) -> list[str
     sentences = []
     for name, record in bearing_lines(findings):
         text = f"Order {order_name(record, findings)} fits the {name}: {_seen(findings, record)}."
-        parts = [part.strip().rstrip(".") for part in named(record.verdict, limit=400).split(". ")]
+        parts = [part.strip().rstrip(".") for part in reason_text(record.verdict).split(". ")]
         # the rule to re-run is said once
         verdict = [f"{part[0].upper()}{part[1:]}." for part in parts if part and "re-run" not in part.lower()]
         sentences.append(" ".join([text, *verdict, *[RE_RUN_RULE] * (with_rule and asks_re_run(record))]))
@@ -361,7 +362,7 @@ def motor_sentences(findings: Findings) -> list[str]:
     if motor is None:
         return []
     if motor.misfit:
-        return [f"No line of the motor is named: {named(motor.misfit, limit=400)}."]
+        return [f"No line of the motor is named: {reason_text(motor.misfit)}."]
     sentences = _slip(motor) + [text for name in _SPEAKS_FOR if (text := _sides(name, motor, findings))]
     strongest = strongest_by(motor.lines, lambda line: (line.name, line.side)).values()
     texts = []

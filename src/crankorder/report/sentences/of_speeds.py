@@ -27,6 +27,7 @@ from crankorder.plot.reading import (
     order_name,
     order_texts,
     percent_text,
+    reason_text,
     short,
     unit_of,
     wide_bands,
@@ -106,7 +107,7 @@ def doubt_sentences(findings: Findings) -> list[str]:
     """That the speed of the ``findings`` is in doubt, and why; nothing where it is not."""
     if not findings.speed_doubt:
         return []
-    reason = named(findings.speed_doubt, limit=4 * NAME_CHARACTERS)
+    reason = reason_text(findings.speed_doubt)
     return [f"The speed is in doubt, and with it every order, cause and crossing: {reason}."]
 
 
@@ -165,7 +166,7 @@ def free_sentences(findings: Findings) -> list[str]:
         widest = sorted(sorted(free, key=lambda band: band[0] - band[1])[:_SHOWN])
         more = " and narrower bands" if len(free) > _SHOWN else ""
         ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
-        remark = named(wide_bands(findings.free_bands)[0].remark or "", limit=4 * NAME_CHARACTERS)
+        remark = reason_text(wide_bands(findings.free_bands)[0].remark)
         sentences.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
     else:
         tested = [rpm for rpm in findings.speed_range_rpm if is_number(rpm)]
@@ -175,7 +176,7 @@ def free_sentences(findings: Findings) -> list[str]:
             sentences.append("No speed of the tested range can be called free of resonances.")
     if unknown:
         widest_open = max(unknown, key=lambda band: band.high_rpm - band.low_rpm)
-        reason = named(widest_open.remark.split("; ")[0], limit=4 * NAME_CHARACTERS)
+        reason = reason_text(widest_open.remark.split("; ")[0])
         others = f" (and {len(unknown) - 1} more {'bands' if len(unknown) > 2 else 'band'})" if len(unknown) > 1 else ""
         ends = f"{widest_open.low_rpm:.0f} to {widest_open.high_rpm:.0f}"
         sentences.append(f"Not free, or not known: {ends} rpm{others}: {reason}.")

@@ -10,7 +10,6 @@ from typing import Literal, TypedDict
 
 from crankorder.findings import Balance, Findings, OrderFinding
 from crankorder.plot.reading import (
-    NAME_CHARACTERS,
     at_one_speed,
     estimate_text,
     fixed_tones,
@@ -25,6 +24,7 @@ from crankorder.plot.reading import (
     order_name,
     order_texts,
     percent_text,
+    reason_text,
     short,
     strongest_by,
 )
@@ -103,7 +103,6 @@ _MUCH_UNKNOWN = 0.05  # of the energy: more than this asks for a look
 _CLEAR_EXPONENT = 1.5  # an interval of the speed exponent wider than this tells nothing
 _SHOWN = 8  # orders that a sentence names
 _STEADY_CAUSES = ("unexplained", "bearing", "gear mesh")  # what may keep its size
-_LETTERS = 4 * NAME_CHARACTERS  # of a reason
 
 Answer = Literal["what", "why", "how_sure", "what_to_do"]
 
@@ -275,14 +274,12 @@ def law_sentences(findings: Findings) -> list[str]:
             half.append(name)
     sentences = []
     if square:
-        verb = "grow" if len(square) > 1 else "grows"
-        sentences.append(
-            f"{_orders(square)} {verb} with the square of the speed, as the force of an unbalanced mass does."
-        )
+        verb = _orders(square, "grows", "grow")
+        sentences.append(f"{verb} with the square of the speed, as the force of an unbalanced mass does.")
     if steady:
-        verb = "keep their" if len(steady) > 1 else "keeps its"
         where = "where seen" if at_one_speed(findings) else "at all tested speeds"
-        sentences.append(f"{_orders(steady)} {verb} size {where}: not an unbalance, rather a bearing or a gear.")
+        size = f"{_orders(steady, 'keeps its', 'keep their')} size {where}"
+        sentences.append(f"{size}: not an unbalance, rather a bearing or a gear.")
     first = strongest.get(1.0)
     if first is not None and "slower than unbalance" in first.doubts and is_number(first.speed_exponent):
         exponent = estimate_text(first, "speed_exponent")
@@ -291,11 +288,11 @@ def law_sentences(findings: Findings) -> list[str]:
         shaped = [
             f"{frequency_text(mode_hz)} Hz shapes order {listed(names)}" for mode_hz, names in sorted(met.items())
         ]
-        more = " and others" if len(shaped) > _SHOWN else ""
+        more = " and others" * (len(shaped) > _SHOWN)
         sentences.append(f"Natural frequencies shape orders: {', '.join(shaped[:_SHOWN])}{more}.")
     if half:
-        verb = "repeat" if len(half) > 1 else "repeats"
-        sentences.append(f"{_orders(half, most=_SHOWN)} {verb} every second revolution, as a four-stroke cycle does.")
+        verb = _orders(half, "repeats", "repeat", most=_SHOWN)
+        sentences.append(f"{verb} every second revolution, as a four-stroke cycle does.")
     return sentences
 
 
@@ -304,8 +301,9 @@ def _is_square(record: OrderFinding) -> bool:
     return ends is not None and ends[1] - ends[0] < _CLEAR_EXPONENT and ends[0] <= 2 <= ends[1]
 
 
-def _orders(names: list[str], *, most: int | None = None) -> str:
-    return f"Order{'s' if len(names) > 1 else ''} {listed(names, most=most)}"
+def _orders(names: list[str], verb: str, plural: str, *, most: int | None = None) -> str:
+    """Orders called ``names`` with the ``verb`` in the number that fits: ``"Orders 1 and 2 grow"``."""
+    return f"Orders {listed(names, most=most)} {plural}" if len(names) > 1 else f"Order {names[0]} {verb}"
 
 
 def lock_sentences(findings: Findings) -> list[str]:
@@ -323,24 +321,21 @@ def lock_sentences(findings: Findings) -> list[str]:
             undecided.append(record)
     sentences = []
     if slips:
-        are, them = ("are no exact multiples", "them") if len(slips) > 1 else ("is no exact multiple", "it")
-        why = f"what makes {them} slips, or turns in a ratio of its own"
-        sentences.append(f"{_orders(slips[:_SHOWN])} {are} of the half revolution: {why}.")
+        slip = _orders(slips[:_SHOWN], "is no exact multiple", "are no exact multiples")
+        cause = f"what makes {'it' if len(slips) == 1 else 'them'} slips, or turns in a ratio of its own"
+        sentences.append(f"{slip} of the half revolution: {cause}.")
     if loose:
-        are, it = ("are", "they follow") if len(loose) > 1 else ("is", "it follows")
-        sentences.append(
-            f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution; at one speed nothing tells "
-            f"whether {it} the shaft."
-        )
+        are, follow = ("is", "it follows") if len(loose) == 1 else ("are", "they follow")
+        multiple = f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution"
+        sentences.append(f"{multiple}; at one speed nothing tells whether {follow} the shaft.")
     if undecided:
-        which = "they are" if len(undecided) > 1 else "it is"
-        names = _orders([order_name(record, findings) for record in undecided], most=_SHOWN)
-        needed = (record.revs_to_decide for record in undecided)
-        longest = max(filter(is_number, needed), default=0.0)
+        names = [order_name(record, findings) for record in undecided]
+        longest = max((record.revs_to_decide or 0.0 for record in undecided), default=0.0)
         would = f"; recordings of {longest:.0f} revolutions would tell" if longest else ""
         if any("in a sweep" in record.doubts for record in undecided):
             would = "; a recording at one held speed would tell"
-        sentences.append(f"{names}: whether {which} locked to the shaft cannot be told yet{would}.")
+        are = _orders(names, "is", "are", most=_SHOWN)
+        sentences.append(f"{are} not yet known to be locked to the shaft{would}.")
     return sentences
 
 
@@ -348,7 +343,7 @@ def balance_sentences(findings: Findings) -> list[str]:
     """Residual unbalance of ``findings`` in grams with intervals, the most telling first; or why it is not known."""
     balance = findings.balance
     if balance is None:
-        reason = named(findings.balance_reason or "", limit=_LETTERS).rstrip(".")
+        reason = reason_text(findings.balance_reason)
         return [f"Residual unbalance in grams is not known: {reason}."] if reason else []
     sentences = []
     but = ", if order 1 is unbalance" if balance.if_unbalance else ""
@@ -391,4 +386,4 @@ def undecided_quantities(balance: Balance) -> list[tuple[str, str]]:
     """Title and reason of every number of ``balance`` that is not decided."""
     reasons = balance.not_decided or {}
     titles = {key: QUANTITIES[key][0] if key in QUANTITIES else key.replace("_", " ") for key in reasons}
-    return [(named(titles[key], limit=_LETTERS), named(reason, limit=_LETTERS)) for key, reason in reasons.items()]
+    return [(reason_text(titles[key]), reason_text(reason)) for key, reason in reasons.items()]
