@@ -221,7 +221,6 @@ def test_notebooks_draw_what_pages_draw_where_the_axes_have_it(steady):
         assert line.points * axes.figure.dpi == pytest.approx(axes.transData.transform(np.column_stack(line.values)))
 
 
-@pytest.mark.slow
 def test_labels_follow_when_one_zooms(steady):
     axes = co.plot.campbell(steady.campbell, FINDINGS, ax=new_axes())
     axes.set_xlim(0.0, 50.0)
