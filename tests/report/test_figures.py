@@ -22,11 +22,11 @@ from crankorder.shaft.summary import speed_trace, trace_variables
 from made.typed import from_dicts
 from report.conftest import overlaps, texts
 
-campbell_figure, envelope_figure, orders_figure, pictures_of, speed_figure = map(
-    from_dicts, (campbell_figure, envelope_figure, orders_figure, pictures_of, speed_figure)
+campbell_figure, orders_figure, pictures_of, speed_figure = map(
+    from_dicts, (campbell_figure, orders_figure, pictures_of, speed_figure)
 )
-order_spectra_figure, spectra_figure, spectrum_figure = map(
-    from_dicts, (order_spectra_figure, spectra_figure, spectrum_figure)
+envelope_figure, order_spectra_figure, spectra_figure, spectrum_figure = map(
+    from_dicts, (envelope_figure, order_spectra_figure, spectra_figure, spectrum_figure)
 )
 
 HARD = [

@@ -137,13 +137,13 @@ def test_a_list_that_is_absent_or_unknown_breaks_nothing(key, value, full, setti
 @pytest.mark.slow
 def test_free_and_open_bands_stand_in_one_table_by_speed_each_with_its_reason(full):
     (avoid,) = (one for anchor, one in tables_of(full, limit=60) if anchor == "avoid")
-    beside = avoid["beside"]
+    beside = avoid.beside
     assert beside is not None
-    verdicts = [(row[0], row[2]) for row in beside["rows"]]
+    verdicts = [(row[0], row[2]) for row in beside.rows]
     assert verdicts == [("300–1690", "free"), ("1690–1850", "not free, or not known"), ("1850–2000", "free")]
-    assert [row[1] for row in beside["rows"]] == ["1390", "160", "150"]
-    assert "more than 3 times (99 %)" in beside["rows"][0][3]
-    assert "order 2 with 60 Hz: is amplified" in beside["rows"][1][3]
+    assert [row[1] for row in beside.rows] == ["1390", "160", "150"]
+    assert "more than 3 times (99 %)" in beside.rows[0][3]
+    assert "order 2 with 60 Hz: is amplified" in beside.rows[1][3]
 
 
 def test_the_bars_of_the_energy_are_the_shares_and_never_longer_than_the_whole(full, settings):
@@ -241,10 +241,10 @@ def test_quality_has_one_row_per_kind_with_its_count_and_first_case(campaign):
     ]
     quality += [{"recording": "5.h5", "flag": "short", "severity": "bad", "detail": "only 2 revolutions"}]
     table = dict(tables_of({**campaign.findings, "quality": quality}, limit=60))["quality"]
-    assert table["rows"] == [
+    assert table.rows == [
         ["bad", "short", "1", "1", "5.h5: only 2 revolutions"], ["suspect", "lost", "2", "2", "1.h5: 1 of 9 are lost"],
     ]  # fmt: skip
-    assert table["more"] is not None and len(table["more"]["rows"]) == 3
+    assert table.more is not None and len(table.more.rows) == 3
 
 
 @pytest.mark.parametrize("text", HOSTILE)

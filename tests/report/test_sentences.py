@@ -190,7 +190,7 @@ def test_a_speed_to_avoid_states_no_peak_that_is_not_known_and_no_factor_above_i
         (said,) = avoid_sentences({**full, "speeds_to_avoid": [{**one, "amplitude": nothing, "amplification": None}]})
         assert "peak " not in said and "amplified" not in said
         tables = dict(tables_of({**full, "speeds_to_avoid": [{**one, "amplitude": nothing}]}, limit=60))
-        assert tables["avoid"]["rows"][0][6] == "–"
+        assert tables["avoid"].rows[0][6] == "–"
     bound = {**one, "at_least": True, "amplification_ci95": [8.0, None]}
     (said,) = avoid_sentences({**full, "speeds_to_avoid": [bound]})
     assert "peak at least 3.7" in said and "amplified at least 8.0 times" in said

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypedDict, cast
+from dataclasses import dataclass
+from typing import cast
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import AvoidedSpeed, EnergyShares, Findings, FreeBand, ModeFinding, OpenBand, Quality
@@ -60,31 +61,22 @@ _SHOWN = 40  # rows of a table that a page shows at once …
 _FOLDED = 400  # … and that it holds folded away; the files hold all
 
 
-class Column(TypedDict):
-    """Head of a column and whether it holds numbers."""
+@dataclass
+class Table:
+    """One table of the page; ``more`` is folded away under it, ``beside`` stands open under it, ``bars`` above it.
+
+    ``columns``: of each its ``title`` and whether it holds a ``number``. ``bars``: stacked ones of length 100, with
+    ``name`` and ``parts``, each with its ``kind``, ``start`` and ``width``.
+    """
 
     title: str
-    number: bool
-
-
-class Bar(TypedDict):
-    """Stacked bar of length 100: its ``name`` and its parts with their ``kind``, ``start`` and ``width``."""
-
-    name: str
-    parts: list[dict[str, str]]
-
-
-class Table(TypedDict):
-    """One table of the page; ``more`` is folded away under it, ``beside`` stands open under it, ``bars`` above it."""
-
-    title: str
-    note: str
-    empty: str
-    columns: list[Column]
+    columns: list[dict[str, object]]
     rows: list[list[str]]
-    more: Table | None
-    beside: Table | None
-    bars: list[Bar]
+    empty: str = ""
+    note: str = ""
+    more: Table | None = None
+    beside: Table | None = None
+    bars: Sequence[dict[str, object]] = ()
 
 
 def table_of(
@@ -95,12 +87,12 @@ def table_of(
     ``rows`` of text, of which a page holds the first 400; ``empty`` stands in their place where there are none;
     ``note`` stands above; ``more`` is folded away.
     """
-    columns = [Column(title=head.removesuffix("#"), number=head.endswith("#")) for head in heads.split("|")]
+    columns: list[dict[str, object]] = [
+        {"title": head.removesuffix("#"), "number": head.endswith("#")} for head in heads.split("|")
+    ]
     if len(rows) > _FOLDED:
         note = f"{note} The first {_FOLDED} of {len(rows)}; findings.json holds all.".strip()
-    return Table(
-        title=title, note=note, empty=empty, columns=columns, rows=rows[:_FOLDED], more=more, beside=None, bars=[]
-    )
+    return Table(title, columns, rows[:_FOLDED], empty, note, more)
 
 
 def _folded(title: str, heads: str, rows: list[list[str]], *, empty: str, note: str) -> Table:
@@ -121,7 +113,7 @@ def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
     if findings.not_asked_for:
         return [("quality", _quality(findings, limit))]
     tables = {anchor: table(findings, limit) for anchor, table in _TABLES.items()}
-    return [(anchor, table) for anchor, table in tables.items() if table["rows"] or table["empty"]]
+    return [(anchor, table) for anchor, table in tables.items() if table.rows or table.empty]
 
 
 def _avoid(findings: Findings, limit: int) -> Table:
@@ -153,7 +145,7 @@ def _avoid(findings: Findings, limit: int) -> Table:
     note = "Peak and amplification of the first order alone; by fit: what the modal fit says of a held speed."
     note = f"{note} The worst first: by that peak, of several units by its share of the largest order." if rows else ""
     table = table_of("Speeds to avoid", heads, rows, note=note, empty=empty)
-    table["beside"] = beside if other else None
+    table.beside = beside if other else None
     return table
 
 
@@ -393,7 +385,7 @@ def _energy(findings: Findings, limit: int) -> Table:
     title = "Where the energy is" + (f", up to {frequency_text(end)} Hz" if is_number(end) else "")
     heads = "|".join(["Channel", *(f"{title}#" for title in titles)])
     table = table_of(title, heads, rows)
-    table["bars"] = [_bar(record, limit) for record in records]
+    table.bars = [_bar(record, limit) for record in records]
     return table
 
 
@@ -405,7 +397,7 @@ def _square_unit(unit: str) -> str:
     return f"({inner})²" if not inner.isalnum() else f"{inner}²"
 
 
-def _bar(record: EnergyShares, limit: int) -> Bar:
+def _bar(record: EnergyShares, limit: int) -> dict[str, object]:
     """Parts of a bar of length 100; shares that add up to more than all are scaled down to it."""
     shares = {key: max(getattr(record, key) or 0.0, 0.0) for key, _ in PARTS}
     scale = 100 / max(1.0, sum(shares.values()))

@@ -45,7 +45,7 @@ def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], 
         lead=lead,
         story=[(title, [sentence for sentence in story[key] if sentence != lead]) for key, title in _ANSWERS.items()],
         pictures=[(f"./{file}", named(caption, limit=4 * limit)) for file, caption in pictures],
-        tables=[(name, table) for name, table in tables.items() if table["rows"] or table["empty"]],
+        tables=[(name, table) for name, table in tables.items() if table.rows or table.empty],
         marked=_MARKED,
     )
 

@@ -100,7 +100,7 @@ def slow_sentences(findings: Findings) -> list[str]:
 
 def above_asks(findings: Findings) -> list[str]:
     """What to do where ``findings`` say that the strongest line of a channel lies above the band; else nothing."""
-    return [*filter(None, map(look_above, _stronger_above(findings)[:1]))]
+    return [ask for level in _stronger_above(findings)[:1] if (ask := look_above(level))]
 
 
 def lies_above(findings: Findings) -> bool:
@@ -268,10 +268,8 @@ def _broadband(findings: Findings) -> list[str]:
         for record in (findings.energy.channels if findings.energy else ())
         if is_number(record.modes_and_floor) and record.modes_and_floor > _MOSTLY
     ]
-    if not loud:
-        return []
     shares = ", ".join(loud[:_MANY]) + ", …" * (len(loud) > _MANY)
-    return [f"Most of the energy is broadband, at natural frequencies and in the noise floor: {shares}."]
+    return [f"Most of the energy is broadband, at natural frequencies and in the noise floor: {shares}."] * bool(loud)
 
 
 def mode_sentences(findings: Findings) -> list[str]:

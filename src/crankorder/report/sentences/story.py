@@ -5,7 +5,6 @@ Here are those on how orders grow and whether they are locked, on the residual u
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Literal, TypedDict
 
 from crankorder.findings import Balance, Findings, OrderFinding
@@ -54,7 +53,6 @@ from crankorder.report.sentences.of_speeds import (
     shaft_sentences,
     share_sentences,
     swing_sentences,
-    undecided_limits,
 )
 
 ALL_CLEAR = (
@@ -127,7 +125,10 @@ def headline(findings: Findings) -> list[str]:
     if findings.not_asked_for:
         return [*shaft_sentences(findings), f"Findings were {named(findings.not_asked_for, limit=400)}."]
     energy = filter(None, [energy_sentence(findings)])
-    limits = [*limit_sentences(findings, above=True)[:1], *undecided_limits(findings)]
+    undecided = limit_sentences(findings, verdict="not decided")
+    limits = [*limit_sentences(findings, verdict="above")[:1], *undecided[:1]]
+    if len(undecided) > 1:
+        limits.append(f"{len(undecided)} limits are not decided: see their table.")
     if _stands_still(findings):
         return [*limits, *mode_sentences(findings)[:1], *energy]
     lines = line_sentences(findings)[: 1 + lies_above(findings)]
@@ -204,21 +205,23 @@ def _has_unexplained(findings: Findings) -> bool:
 
 def _quality_sentences(findings: Findings) -> list[str]:
     """How many recordings are bad or suspect, and what was left out for a gain that was changed."""
-    count = Counter(flag.severity for flag in findings.quality)
     sentences = []
     for severity, advice in _WEIGHTS.items():
-        if count[severity]:
-            remarks = "1 quality remark is" if count[severity] == 1 else f"{count[severity]} quality remarks are"
+        if count := sum(flag.severity == severity for flag in findings.quality):
+            remarks = "1 quality remark is" if count == 1 else f"{count} quality remarks are"
             sentences.append(f"{remarks} {severity}: {advice}.")
-    faultless = [] if sentences else ["No recording was found faulty or suspect."]
+    sentences = sentences or ["No recording was found faulty or suspect."]
     jumps = [flag for flag in findings.quality if flag.flag == "level_jump" and flag.left_out]
     for is_open, why in ((False, "its gain was changed"), (True, f"gains differ, and nothing tells {WHICH_IS_RIGHT}")):
-        changed = [flag for flag in jumps if (WHICH_IS_RIGHT in flag.detail) == is_open]
+        changed = [
+            f"{short(jump.channel)} of {short(jump.recording)}"
+            for jump in jumps
+            if (WHICH_IS_RIGHT in jump.detail) == is_open
+        ]
         if changed:
-            first = ", ".join(f"{short(flag.channel)} of {short(flag.recording)}" for flag in changed[:_MANY])
             more = f" and {len(changed) - _MANY} more" if len(changed) > _MANY else ""
-            sentences.append(f"Left out of everything that is said: {first}{more} ({why}).")
-    return sentences + faultless
+            sentences.append(f"Left out of everything that is said: {', '.join(changed[:_MANY])}{more} ({why}).")
+    return sentences
 
 
 def _what_to_do(findings: Findings) -> list[str]:
@@ -231,11 +234,10 @@ def _what_to_do(findings: Findings) -> list[str]:
     if is_number(fraction) and fraction > _MUCH_UNKNOWN and _has_unexplained(findings):
         asks.append("Look for the cause of the lines that the tables call unexplained.")
     asks += _repeat_sentences(findings)
-    if not avoid and not asks:
-        if nothing_proven(findings):
-            asks = [TOO_SHORT]
-        elif all_judged(findings):
-            asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in findings.looked_for else ALL_CLEAR]
+    if not avoid and not asks and nothing_proven(findings):
+        asks = [TOO_SHORT]
+    elif not avoid and not asks and all_judged(findings):
+        asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in findings.looked_for else ALL_CLEAR]
     return [*avoid, *free_sentences(findings), *asks]
 
 
