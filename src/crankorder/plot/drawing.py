@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -257,13 +256,10 @@ class Panel:
         """Left and bottom edges, or all four where ``whole``."""
         left, bottom, width, height = self.box
         corners = [(left, bottom + height), (left, bottom), (left + width, bottom)]
-        if whole:
-            corners += [(left + width, bottom + height), (left, bottom + height)]
-        for ends in pairwise(corners):
-            self._edge(*ends)
+        self._edge(*corners, *([(left + width, bottom + height), corners[0]] if whole else []))
 
-    def _edge(self, *ends: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
-        self.drawing.add(Stroke(np.array(ends), color, width, square=True))
+    def _edge(self, *corners: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
+        self.drawing.add(Stroke(np.array(corners), color, width, square=True))
 
     def x_axis(
         self,

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import AvoidedSpeed, EnergyShares, Findings, FreeBand, ModeFinding, OpenBand, Quality
 from crankorder.plot.reading import (
-    Numbered,
     estimate_text,
     fixed_tones,
     frequency_text,
@@ -415,7 +413,7 @@ def _lines(findings: Findings, limit: int) -> Table:
     for line in sorted(findings.lines, key=lambda line: -line.size):
         place = f"{estimate_text(line, 'frequency_hz')} Hz"
         if line.order is not None:
-            place = f"order {order_estimate(cast('Numbered', line), findings)}"
+            place = f"order {order_estimate(line, findings)}"
         level = estimate_text(line, "amplitude", unit=unit_of(findings, line))
         explained = named(line.explained_by or "unexplained", limit=2 * limit)
         rows.append([named(line.channel, limit=limit), place, level, explained])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import AvoidedSpeed, Findings, Level, LimitVerdict, SpeedSwing
@@ -60,14 +59,9 @@ def avoid_sentences(findings: Findings) -> list[str]:
     return sentences
 
 
-@dataclass(frozen=True)
-class _Order:
-    order: float
-
-
 def _excites(order: float, mode_hz: float, findings: Findings) -> str:
     """That an order excites a natural frequency, or peaks where one may be."""
-    name, hertz = order_name(_Order(order), findings), frequency_text(mode_hz)
+    name, hertz = order_name(order, findings), frequency_text(mode_hz)
     if is_in_doubt(mode_hz, findings):
         return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
     of_order = [crossing for crossing in findings.crossings if nominal_order(crossing) == order]
