@@ -6,7 +6,7 @@ free, on the scale of its speeds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,8 @@ from crankorder.plot.drawing import ORDER, SOLID, Drawing, Field, Panel, Stroke,
 from crankorder.plot.labels import (
     EdgeLabel,
     Key,
-    Mark,
     draw_keys,
+    edge_labels,
     fitted,
     head_of_test,
     label_right,
@@ -422,15 +422,6 @@ def _label_edges(
         drawing.add(Words(left - 0.3, text_heights[0], "order", SMALL, INK, along="right"))
     if side:
         drawing.add(Words(left + width + 0.06 + shift, bottom + height + 0.135, "order", SMALL, INK))
-
-
-def edge_labels(panel: Panel, marks: Sequence[Mark]) -> list[EdgeLabel]:
-    """Labels of those of ``marks`` that lie within ``panel``."""
-    return [
-        EdgeLabel(float(panel.at(place, panel.y[0])[0, 0]), text, color, number)
-        for number, (place, text, color) in enumerate(marks)
-        if panel.x[0] <= place <= panel.x[1]
-    ]
 
 
 _STRIP_IN = 0.13  # room that the strip takes right of the diagram

@@ -19,10 +19,9 @@ from crankorder.findings import Findings
 from crankorder.plot.axes import axes_for, channel_of, dataset_of, dress, painted, scale, y_label
 from crankorder.plot.campbell_figure import gaps_before, speed_cells
 from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words
-from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
+from crankorder.plot.labels import EdgeLabel, head_of_test, label_column, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.reading import names_of_orders, nominal_order
-from crankorder.plot.spectra_figure import label_column
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ReportSettings
 

@@ -18,16 +18,15 @@ import xarray as xr
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
 from crankorder.plot.axes import axes_for, channel_of, dress, keys_below, painted, positive, scale, values_of, y_label
-from crankorder.plot.campbell_figure import edge_labels, orders_of
+from crankorder.plot.campbell_figure import orders_of
 from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words, log_limits
 from crankorder.plot.labels import (
     EdgeLabel,
     Key,
     Mark,
     draw_keys,
-    fitted,
     head_of_test,
-    label_top,
+    label_column,
     label_width_in,
     mode_keys,
     mode_marks,
@@ -237,17 +236,6 @@ def _mark_orders(
             alpha = 0.6 if (channel, order) in in_channel else 0.25
             panel.upright(order * rpm / 60, color=LINES[1], width=0.7, alpha=alpha, name=f"order-{text}")
     return [(order * rpm / 60, text, LINES[1]) for order, text in zip(kept, texts, strict=True)]
-
-
-def label_column(panel: Panel, marks: list[Mark], caption: str, above: Sequence[Mark] = ()) -> None:
-    """Write ``marks`` (place, text, colour) over the first ``panel`` of a column, and those ``above`` over them.
-
-    ``caption`` stands before them: what the marks are.
-    """
-    tiers = [edge_labels(panel, tier) for tier in (marks, above)]
-    lines = label_top(panel.drawing, panel.box, [fitted(labels, panel.box[2]) for labels in tiers])
-    if tiers[0] and caption:
-        panel.drawing.add(Words(panel.box[0] - 0.25, lines[0], caption, SMALL, LINES[1], along="right"))
 
 
 _AROUND = 0.5  # orders to each side: further than a line leaks, nearer than the next whole order

@@ -98,9 +98,10 @@ def slow_sentences(findings: Findings) -> list[str]:
     return [f"{flag.detail[:1].upper()}{flag.detail[1:]}." for flag in findings.quality if flag.flag == "slow_lines"]
 
 
-def above_asks(findings: Findings) -> list[str]:
-    """What to do where ``findings`` say that the strongest line of a channel lies above the band; else nothing."""
-    return [ask for level in _stronger_above(findings)[:1] if (ask := look_above(level))]
+def line_asks(findings: Findings) -> list[str]:
+    """What to do about bearings in ``findings``, and where the strongest line of a channel lies above the band."""
+    asks = [RE_RUN_RULE] * any(_asks_re_run(record) for _, record in bearing_lines(findings))
+    return asks + [ask for level in _stronger_above(findings)[:1] if (ask := look_above(level))]
 
 
 def lies_above(findings: Findings) -> bool:
@@ -308,7 +309,7 @@ def bearing_sentences(findings: Findings, *, with_rule: bool = True) -> list[str
         parts = [part.strip().rstrip(".") for part in reason_text(record.verdict).split(". ")]
         # the rule to re-run is said once
         verdict = [f"{part[0].upper()}{part[1:]}." for part in parts if part and "re-run" not in part.lower()]
-        sentences.append(" ".join([text, *verdict, *[RE_RUN_RULE] * (with_rule and asks_re_run(record))]))
+        sentences.append(" ".join([text, *verdict, *[RE_RUN_RULE] * (with_rule and _asks_re_run(record))]))
     return sentences
 
 
@@ -332,7 +333,7 @@ def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:
     return lines
 
 
-def asks_re_run(record: BearingFinding) -> bool:
+def _asks_re_run(record: BearingFinding) -> bool:
     """True where the verdict of a bearing ``record`` asks to run the test again, or where none was worked out."""
     return record.lock is None or record.re_run
 

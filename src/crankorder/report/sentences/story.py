@@ -18,7 +18,6 @@ from crankorder.plot.reading import (
     is_in_doubt,
     is_number,
     listed,
-    named,
     nominal_order,
     order_name,
     order_texts,
@@ -28,32 +27,7 @@ from crankorder.plot.reading import (
     strongest_by,
 )
 from crankorder.quantities import WHICH_IS_RIGHT
-from crankorder.report.sentences.of_lines import (
-    LIKE_UNBALANCE,
-    RE_RUN_RULE,
-    above_asks,
-    asks_re_run,
-    bearing_lines,
-    bearing_sentences,
-    lies_above,
-    line_sentences,
-    mode_sentences,
-    motor_sentences,
-    nothing_proven,
-    slow_sentences,
-    tone_sentences,
-)
-from crankorder.report.sentences.of_speeds import (
-    all_judged,
-    avoid_sentences,
-    doubt_sentences,
-    free_sentences,
-    level_sentences,
-    limit_sentences,
-    shaft_sentences,
-    share_sentences,
-    swing_sentences,
-)
+from crankorder.report.sentences import of_lines, of_speeds
 
 ALL_CLEAR = (
     "Nothing that was looked for asks for action: orders, natural frequencies and their crossings. Strikes in "
@@ -123,23 +97,23 @@ def headline(findings: Findings) -> list[str]:
     its natural frequencies. ``findings`` as in ``data_schema/findings.json``. Never empty.
     """
     if findings.not_asked_for:
-        return [*shaft_sentences(findings), f"Findings were {named(findings.not_asked_for, limit=400)}."]
+        return [*of_speeds.shaft_sentences(findings), f"Findings were {reason_text(findings.not_asked_for)}."]
     energy = filter(None, [energy_sentence(findings)])
-    undecided = limit_sentences(findings, verdict="not decided")
-    limits = [*limit_sentences(findings, verdict="above")[:1], *undecided[:1]]
+    undecided = of_speeds.limit_sentences(findings, verdict="not decided")
+    limits = [*of_speeds.limit_sentences(findings, verdict="above")[:1], *undecided[:1]]
     if len(undecided) > 1:
         limits.append(f"{len(undecided)} limits are not decided: see their table.")
     if _stands_still(findings):
-        return [*limits, *mode_sentences(findings)[:1], *energy]
-    lines = line_sentences(findings)[: 1 + lies_above(findings)]
-    bearings = bearing_sentences(findings)[:1]
+        return [*limits, *of_lines.mode_sentences(findings)[:1], *energy]
+    lines = of_lines.line_sentences(findings)[: 1 + of_lines.lies_above(findings)]
+    bearings = of_lines.bearing_sentences(findings)[:1]
     strikes = any(record.damage for record in findings.bearings)
     return [
-        *doubt_sentences(findings),
+        *of_speeds.doubt_sentences(findings),
         *limits,
         *(bearings + lines if strikes else lines + bearings),
-        *slow_sentences(findings),
-        *(avoid_sentences(findings) or free_sentences(findings))[:1],
+        *of_lines.slow_sentences(findings),
+        *(of_speeds.avoid_sentences(findings) or of_speeds.free_sentences(findings))[:1],
         *balance_sentences(findings)[:1],
         *energy,
     ]
@@ -149,21 +123,22 @@ def story_of(findings: Findings) -> Story:
     """What shakes, why, how sure and what to do, from ``findings``; unasked for, only what the data are worth."""
     quality, repeat = _quality_sentences(findings), _repeat_sentences(findings)
     if findings.not_asked_for:
-        return Story(what=shaft_sentences(findings), why=[], how_sure=quality, what_to_do=repeat)
-    levels = [*level_sentences(findings), *limit_sentences(findings)]
-    shares = [*filter(None, [energy_sentence(findings)]), *share_sentences(findings)]
-    modes, tones = mode_sentences(findings), tone_sentences(findings)
+        return Story(what=of_speeds.shaft_sentences(findings), why=[], how_sure=quality, what_to_do=repeat)
+    levels = [*of_speeds.level_sentences(findings), *of_speeds.limit_sentences(findings)]
+    shares = [*filter(None, [energy_sentence(findings)]), *of_speeds.share_sentences(findings)]
+    modes, tones = of_lines.mode_sentences(findings), of_lines.tone_sentences(findings)
     if _stands_still(findings):
         return Story(
             what=modes + levels, why=tones, how_sure=[INTERVALS, *shares, *quality], what_to_do=repeat or [STILL_CLEAR]
         )
     return Story(
-        what=line_sentences(findings) + levels,
+        what=of_lines.line_sentences(findings) + levels,
         why=[
-            *law_sentences(findings), *swing_sentences(findings), *modes, *tones, *motor_sentences(findings),
-            *bearing_sentences(findings, with_rule=False), *balance_sentences(findings),
+            *law_sentences(findings), *of_speeds.swing_sentences(findings), *modes, *tones,
+            *of_lines.motor_sentences(findings), *of_lines.bearing_sentences(findings, with_rule=False),
+            *balance_sentences(findings),
         ],
-        how_sure=[INTERVALS, *doubt_sentences(findings), *shares, *lock_sentences(findings), *quality],
+        how_sure=[INTERVALS, *of_speeds.doubt_sentences(findings), *shares, *lock_sentences(findings), *quality],
         what_to_do=_what_to_do(findings),
     )  # fmt: skip
 
@@ -225,32 +200,33 @@ def _quality_sentences(findings: Findings) -> list[str]:
 
 
 def _what_to_do(findings: Findings) -> list[str]:
-    avoid = avoid_sentences(findings)
+    avoid = of_speeds.avoid_sentences(findings)
     if len(avoid) > _MANY:
         avoid = [*avoid[:_MANY], f"The table of speeds to avoid names all {len(avoid)} of them."]
-    asks = [RE_RUN_RULE] if any(asks_re_run(record) for _, record in bearing_lines(findings)) else []
-    asks += above_asks(findings) + _balance_asks(findings)
+    asks = of_lines.line_asks(findings) + _balance_asks(findings)
     fraction = findings.unexplained_energy_fraction
     if is_number(fraction) and fraction > _MUCH_UNKNOWN and _has_unexplained(findings):
         asks.append("Look for the cause of the lines that the tables call unexplained.")
     asks += _repeat_sentences(findings)
-    if not avoid and not asks and nothing_proven(findings):
+    if not avoid and not asks and of_lines.nothing_proven(findings):
         asks = [TOO_SHORT]
-    elif not avoid and not asks and all_judged(findings):
+    elif not avoid and not asks and of_speeds.all_judged(findings):
         asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in findings.looked_for else ALL_CLEAR]
-    return [*avoid, *free_sentences(findings), *asks]
+    return [*avoid, *of_speeds.free_sentences(findings), *asks]
 
 
 def _balance_asks(findings: Findings) -> list[str]:
     """To balance where an unbalanced mass makes the strongest order; for more speeds where it may for want of them."""
-    if findings.speed_doubt or lies_above(findings):
+    if findings.speed_doubt or of_lines.lies_above(findings):
         return []
     strongest, asks = strongest_by(findings.orders, lambda record: record.channel), []
     leads = sorted(name for name, record in strongest.items() if record.kinds == ("unbalance",))
     if leads:
         channels = listed(list(map(short, leads)))
         asks.append(BALANCE if len(leads) == len(strongest) else BALANCE_IN.format(channels=channels))
-    if any(record.kinds == (LIKE_UNBALANCE,) and "few speeds" in record.doubts for record in strongest.values()):
+    if any(
+        record.kinds == (of_lines.LIKE_UNBALANCE,) and "few speeds" in record.doubts for record in strongest.values()
+    ):
         asks.append(MORE_SPEEDS)
     return asks
 
