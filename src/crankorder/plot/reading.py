@@ -219,7 +219,7 @@ def short(text: object) -> str:
 
 
 def reason_text(text: str | None) -> str:
-    """A reason, as the end of a sentence has it: whole, safe to show, without its full stop; empty for None."""
+    """``text`` of a reason as the end of a sentence has it: whole, safe to show, no full stop; empty for None."""
     return printable(text or "", _REASON_CHARACTERS).rstrip(".")
 
 
