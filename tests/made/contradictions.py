@@ -216,7 +216,7 @@ def _of_sentences(findings: Findings) -> Iterator[str]:
     story = story_of(findings)
     said = [*headline(findings), *story["what"], *story["why"], *story["how_sure"], *story["what_to_do"]]
     tables = [table for _, table in tables_of(findings, limit=NAME_CHARACTERS)]
-    text = "\n".join([*said, *(table["empty"] for table in tables if not table["rows"])])
+    text = "\n".join([*said, *(table.empty for table in tables if not table.rows)])
     for value, low, high in sorted(_estimates(said) - _estimates(_cells(tables))):
         yield f"a sentence says {value} ({low}…{high}), and no table does"
     for words, others in APART.items():
@@ -242,5 +242,5 @@ def _cells(tables: Iterable[Table | None]) -> Iterator[str]:
     """Text of every cell of ``tables`` and of those that are folded away under them or stand beside them."""
     for table in tables:
         if table is not None:
-            yield from (cell for row in table["rows"] for cell in row)
-            yield from _cells((table["more"], table["beside"]))
+            yield from (cell for row in table.rows for cell in row)
+            yield from _cells((table.more, table.beside))

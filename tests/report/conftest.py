@@ -332,3 +332,24 @@ def full(campaign):
 def make_envelope():
     """Maker of an envelope map from channels, speeds and the order of a fault."""
     return envelope_map
+
+
+def overlaps(drawing):
+    """Pairs of texts whose boxes overlap by more than a hair, and texts that leave the sheet."""
+    boxes = []
+    for words in drawing.words:
+        x, y, width, height = words.box
+        if x < 0 or y < 0 or x + width > drawing.width_in or y + height > drawing.height_in:
+            return [(words.text, "edge of the sheet")]
+        boxes.append((words.text, x + 0.03 * width, y + 0.03 * height, x + 0.97 * width, y + 0.97 * height))
+    return [
+        (one[0], two[0])
+        for number, one in enumerate(boxes)
+        for two in boxes[number + 1 :]
+        if one[1] < two[3] and two[1] < one[3] and one[2] < two[4] and two[2] < one[4]
+    ]
+
+
+def texts(drawing):
+    """All texts."""
+    return [part.text for part in drawing.words]

@@ -104,14 +104,20 @@ def test_everything_that_identification_finds_is_in_a_table(full, settings):
 )
 def test_what_may_be_absent_or_unknown_breaks_neither_page_nor_headline(table, full, settings):
     needed = set(schema_of("findings")["properties"][table]["items"]["required"])
-    keys = {key for record in full[table] for key in record} - needed
-    for absent in [*({key} for key in sorted(keys)), keys]:
+    keys = sorted({key for record in full[table] for key in record} - needed)
+    # all at once; then another one in each record, until each was absent
+    absences = [[set(keys)] * len(full[table])]
+    for first in range(0, len(keys), len(full[table])):
+        absences.append([{keys[(first + number) % len(keys)]} for number in range(len(full[table]))])
+    for absent in absences:
+        pairs = [
+            (record, gone if table != "lines" else gone - {"order", "frequency_hz"})
+            for record, gone in zip(full[table], absent, strict=True)
+        ]
         for made in (
-            [{key: value for key, value in record.items() if key not in absent} for record in full[table]],
-            [{key: None if key in absent else value for key, value in record.items()} for record in full[table]],
+            [{key: value for key, value in record.items() if key not in gone} for record, gone in pairs],
+            [{key: None if key in gone else value for key, value in record.items()} for record, gone in pairs],
         ):
-            if table == "lines" and {"order", "frequency_hz"} & absent:
-                continue
             findings = {**full, table: made}
             assert headline(findings)
             assert "</html>" in report_page(findings, pictures=[], provenance={}, settings=settings)
@@ -131,13 +137,13 @@ def test_a_list_that_is_absent_or_unknown_breaks_nothing(key, value, full, setti
 @pytest.mark.slow
 def test_free_and_open_bands_stand_in_one_table_by_speed_each_with_its_reason(full):
     (avoid,) = (one for anchor, one in tables_of(full, limit=60) if anchor == "avoid")
-    beside = avoid["beside"]
+    beside = avoid.beside
     assert beside is not None
-    verdicts = [(row[0], row[2]) for row in beside["rows"]]
+    verdicts = [(row[0], row[2]) for row in beside.rows]
     assert verdicts == [("300–1690", "free"), ("1690–1850", "not free, or not known"), ("1850–2000", "free")]
-    assert [row[1] for row in beside["rows"]] == ["1390", "160", "150"]
-    assert "more than 3 times (99 %)" in beside["rows"][0][3]
-    assert "order 2 with 60 Hz: is amplified" in beside["rows"][1][3]
+    assert [row[1] for row in beside.rows] == ["1390", "160", "150"]
+    assert "more than 3 times (99 %)" in beside.rows[0][3]
+    assert "order 2 with 60 Hz: is amplified" in beside.rows[1][3]
 
 
 def test_the_bars_of_the_energy_are_the_shares_and_never_longer_than_the_whole(full, settings):
@@ -229,23 +235,16 @@ def test_a_page_stays_under_five_megabytes_whatever_its_test_holds(make_test, se
     np.testing.assert_allclose(campbell["largest"][0] * 10 ** ((code - 60000) * 0.005 / 20), padded, rtol=3e-4)
 
 
-@pytest.mark.slow
-def test_quality_has_one_row_per_kind_with_its_count_and_worst_case(campaign):
+def test_quality_has_one_row_per_kind_with_its_count_and_first_case(campaign):
     quality = [
-        {"recording": f"{k}.h5", "flag": "lost", "severity": "suspect", "detail": f"{lost} of {100 * k} are lost"}
-        for k, lost in ((1, 3), (2, 50), (3, 9))
+        {"recording": f"{k}.h5", "flag": "lost", "severity": "suspect", "detail": f"{k} of 9 are lost"} for k in (1, 2)
     ]
-    quality += [{"recording": "4.h5", "flag": "short", "severity": "bad", "detail": "only 2 revolutions"}]
-    quality += [{"recording": "5.h5", "flag": "short", "severity": "bad", "detail": "only 1 revolutions"}]
-    (table,) = (
-        one for anchor, one in tables_of({**campaign.findings, "quality": quality}, limit=60) if anchor == "quality"
-    )
-    assert table["rows"] == [
-        ["bad", "short", "2", "2", "5.h5: only 1 revolutions"],
-        ["suspect", "lost", "3", "3", "2.h5: 50 of 200 are lost"],
-    ]
-    assert table["more"] is not None
-    assert len(table["more"]["rows"]) == 5
+    quality += [{"recording": "5.h5", "flag": "short", "severity": "bad", "detail": "only 2 revolutions"}]
+    table = dict(tables_of({**campaign.findings, "quality": quality}, limit=60))["quality"]
+    assert table.rows == [
+        ["bad", "short", "1", "1", "5.h5: only 2 revolutions"], ["suspect", "lost", "2", "2", "1.h5: 1 of 9 are lost"],
+    ]  # fmt: skip
+    assert table.more is not None and len(table.more.rows) == 3
 
 
 @pytest.mark.parametrize("text", HOSTILE)

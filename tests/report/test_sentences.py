@@ -190,7 +190,7 @@ def test_a_speed_to_avoid_states_no_peak_that_is_not_known_and_no_factor_above_i
         (said,) = avoid_sentences({**full, "speeds_to_avoid": [{**one, "amplitude": nothing, "amplification": None}]})
         assert "peak " not in said and "amplified" not in said
         tables = dict(tables_of({**full, "speeds_to_avoid": [{**one, "amplitude": nothing}]}, limit=60))
-        assert tables["avoid"]["rows"][0][6] == "–"
+        assert tables["avoid"].rows[0][6] == "–"
     bound = {**one, "at_least": True, "amplification_ci95": [8.0, None]}
     (said,) = avoid_sentences({**full, "speeds_to_avoid": [bound]})
     assert "peak at least 3.7" in said and "amplified at least 8.0 times" in said
@@ -200,7 +200,7 @@ def test_a_speed_to_avoid_states_no_peak_that_is_not_known_and_no_factor_above_i
 
 @pytest.mark.slow
 def test_whether_an_order_is_locked_is_said_with_the_record_that_would_tell(full):
-    said = "Order 5.5: whether it is locked to the shaft cannot be told yet; recordings of 420 revolutions would tell."
+    said = "Order 5.5 is not yet known to be locked to the shaft; recordings of 420 revolutions would tell."
     assert said in story_of(full)["how_sure"]
     for record in full["orders"]:
         if record["order"] == 5.5:

@@ -22,10 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from crankorder.plot.campbell_figure import campbell, order_map
-    from crankorder.plot.envelope_figure import envelope
-    from crankorder.plot.orders_figure import orders
-    from crankorder.plot.spectra_figure import spectra
-    from crankorder.plot.speed_figure import speed
+    from crankorder.plot.orders_figure import orders, speed
+    from crankorder.plot.spectra_figure import envelope, spectra
 
 __all__ = ["campbell", "envelope", "order_map", "orders", "spectra", "speed"]
 
@@ -33,7 +31,7 @@ __all__ = ["campbell", "envelope", "order_map", "orders", "spectra", "speed"]
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'crankorder.plot' has no attribute {name!r}; it has {', '.join(__all__)}")
-    home = "campbell" if name == "order_map" else name
+    home = {"order_map": "campbell", "envelope": "spectra", "speed": "orders"}.get(name, name)
     return getattr(import_module(f"crankorder.plot.{home}_figure"), name)
 
 

@@ -187,13 +187,11 @@ def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None
         axes.set_ylim(*y)
 
 
-def painted(
-    axes: Axes, content: Callable[[Panel], object], *, level_at: Callable[[float, float], float | None] | None = None
-) -> Axes:
-    """``axes`` with the drawing of ``content`` on them; ``level_at`` gives the level under the cursor."""
+def painted(axes: Axes, content: Callable[[Panel], object]) -> Axes:
+    """``axes`` with the drawing of ``content`` on them."""
     from crankorder.plot.painter import PaintedPanel
 
-    PaintedPanel(axes, content, level_at)
+    PaintedPanel(axes, content)
     return axes
 
 

@@ -6,7 +6,7 @@ free, on the scale of its speeds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,8 @@ from crankorder.plot.drawing import ORDER, SOLID, Drawing, Field, Panel, Stroke,
 from crankorder.plot.labels import (
     EdgeLabel,
     Key,
-    Mark,
     draw_keys,
+    edge_labels,
     fitted,
     head_of_test,
     label_right,
@@ -52,6 +52,7 @@ from crankorder.plot.reading import (
     not_judged_rpm,
     open_bands,
     order_name,
+    order_text,
 )
 from crankorder.quantities import Bools, Floats
 from crankorder.records import known
@@ -74,20 +75,17 @@ def speed_cells(speeds_rpm: Floats) -> Floats:
     side: what lies between was not measured.
     """
     speeds = np.asarray(speeds_rpm, dtype=float)
-    steps = np.diff(speeds)
-    if not len(steps) or not steps.any():
+    halves = np.diff(speeds) / 2
+    if not halves.any():
         half = max(0.025 * abs(float(speeds[0])), 1.0)
         return np.tile([speeds[0] - half, speeds[0] + half], (len(speeds), 1))
-    reach = max(_REACH_STEPS * float(np.median(steps)), _REACH_SHARE * float(speeds[-1] - speeds[0]))
-    usual = float(np.median(steps)) / 2
-    halves = np.where(steps / 2 > reach, np.nan, steps / 2)  # NaN: a gap
-    down, up = np.concatenate([[np.nan], halves]), np.concatenate([halves, [np.nan]])
-    down, up = (
-        np.where(np.isnan(half), np.where(np.isnan(other), usual, other), half)
-        for half, other in ((down, up), (up, down))
-    )
-    low, high = float(speeds[0]), float(speeds[-1])
-    return np.asarray(np.clip(np.stack([speeds - down, speeds + up], axis=1), low, high))
+    usual, span = float(np.median(halves)), float(speeds[-1] - speeds[0])
+    reach = max(2 * _REACH_STEPS * usual, _REACH_SHARE * span)
+    halves = np.where(halves > reach, np.nan, halves)  # NaN: a gap
+    down, up = np.append(np.nan, halves), np.append(halves, np.nan)
+    low = speeds - np.where(np.isnan(down), np.nan_to_num(up, nan=usual), down)
+    high = speeds + np.where(np.isnan(up), np.nan_to_num(down, nan=usual), up)
+    return np.asarray(np.clip(np.stack([low, high], axis=1), speeds[0], speeds[-1]))
 
 
 def gaps_before(cells: Floats) -> Bools:
@@ -218,13 +216,6 @@ class LevelMap:
         rpm = self.rpm(height)
         return 60 * hertz / rpm if self.by_order else hertz + 0.0 * rpm
 
-    def level_at(self, x: float, y: float) -> float | None:
-        """Level in dB at the place ``x`` and the height ``y``; None outside and where nothing was measured."""
-        rows, upward = with_gaps(self.amplitude, self.cells, empty=-1.0)
-        row, column = (int(np.searchsorted(edges, at)) - 1 for edges, at in ((upward, y), (bin_edges(self.place), x)))
-        inside = 0 <= row < len(rows) and 0 <= column < len(self.place) and rows[row, column] >= 0
-        return float(level_of(rows[row, column], self.reference)) if inside else None
-
 
 def level_map(dataset: xr.Dataset, channel: int, along: str, reference: float, label: str) -> LevelMap:
     """Map of one ``channel`` (its number) of ``dataset`` over ``along``, "frequency" or "order".
@@ -301,32 +292,36 @@ def draw_findings(panel: Panel, levels: LevelMap, findings: Findings, channel: s
 
     ``limit``: the most orders.
     """
-    guides: Sequence[OrderFinding | Guide] = _guides(panel, levels) if findings.not_asked_for else []
-    orders = guides or ([] if levels.timeless else orders_of(findings, channel, limit=limit))
+    lines = _order_lines(panel, levels, findings, channel, limit)
     modes = [] if levels.timeless and levels.by_order else fixed_frequencies(findings)
-    _draw_orders(panel, levels, orders, findings)
+    strip = _strip(findings)
+    for line in lines:
+        name = f"order-{line.text}"
+        parts = [(panel.y, 0.25), (line.seen, 0.5)] if line.seen else [(panel.y, 0.3)]
+        for ends, alpha in parts:
+            speed = np.clip(np.array(ends), *panel.y)
+            panel.curve(levels.of_order(line.order, speed), speed, color=WHITE, width=0.7, alpha=alpha, name=name)
     _draw_modes(panel, levels, modes, channel)
     circles = not levels.timeless and _draw_crossings(panel, levels, findings, channel)
     low, high = panel.y
     for start, end in gaps_between(levels.cells):
         start, end = max(start, low), min(end, high)
         if (end - start) * panel.box[3] > 0.3 * (high - low):
-            panel.note("not measured", up=float(panel.share((start + end) / 2)))
+            panel.note("not measured", at_in=panel.height_at((start + end) / 2))
     if not len(levels.speed):
         panel.note("nothing was measured")
     elif not np.any(levels.amplitude > 0):
         panel.note("no signal: every value is zero")
-    _label_edges(panel, levels, orders, modes, findings)
-    if guides:
+    _label_edges(panel, levels, lines, modes, strip)
+    if findings.not_asked_for:
         keys = [Key("order, for orientation", FAINT)]
     else:
-        keys = [Key("order found (bold: strongest)", INK)] if orders else []
-        keys += [Key("half order: combustion or camshaft", HALF_ORDER)] * any(map(is_of_cycle, orders))
+        keys = [Key("order found (bold: strongest)", INK)] if lines else []
+        keys += [Key("half order: combustion or camshaft", HALF_ORDER)] * any(line.color != INK for line in lines)
         keys += mode_keys(modes) + [Key("excited crossing", INK, ring=True)] * circles
-    keys += [Key("speed to avoid", AVOID, width=_WIDTH_PT)] * bool(_ranges(findings))
-    keys += [Key("free speeds", FREE, width=_WIDTH_PT)] * bool(free_bands(findings))
-    unknown = bool(open_bands(findings) or _open_rpm(findings))
-    return keys + [Key("not free, or not known", NOT_JUDGED, width=_WIDTH_PT)] * unknown
+    meaning = {AVOID: "speed to avoid", FREE: "free speeds", NOT_JUDGED: "not free, or not known"}
+    shown = {color for color, *_ in strip}
+    return keys + [Key(text, color, width=_WIDTH_PT) for color, text in meaning.items() if color in shown]
 
 
 def orders_of(findings: Findings, channel: str, *, limit: int) -> list[OrderFinding]:
@@ -336,43 +331,41 @@ def orders_of(findings: Findings, channel: str, *, limit: int) -> list[OrderFind
     """
     records = [record for record in findings.orders if record.channel == channel]
     records.sort(key=lambda record: -record.amplitude)
-    half = [record for record in records[limit:] if is_of_cycle(record)]
+    half = [record for record in records[limit:] if _is_of_cycle(record)]
     return sorted([*records[:limit], *half[:limit]], key=lambda record: record.order)
 
 
-def is_of_cycle(record: OrderFinding | Guide) -> bool:
+def _is_of_cycle(record: OrderFinding) -> bool:
     """Whether an order ``record`` is a half order that combustion or the camshaft of a four-stroke engine makes."""
-    if not isinstance(record, OrderFinding) or not record.half_order:
-        return False
-    return not {"gas cycle", "half order of the four-stroke cycle"}.isdisjoint(record.kinds)
-
-
-def _draw_orders(panel: Panel, levels: LevelMap, orders: Sequence[OrderFinding | Guide], findings: Findings) -> None:
-    low, high = panel.y
-    everywhere = np.array([low, high])
-    for record in orders:
-        of_line = known(record.speed_range_rpm) if isinstance(record, OrderFinding) else None
-        seen = np.clip(np.array(of_line or (low, high)), low, high)
-        name = f"order-{order_name(record, findings)}"
-        parts = [(everywhere, 0.25), (seen, 0.5)] if isinstance(record, OrderFinding) else [(everywhere, 0.3)]
-        for speed, alpha in parts:
-            panel.curve(levels.of_order(record.order, speed), speed, color=WHITE, width=0.7, alpha=alpha, name=name)
+    return record.half_order and not {"gas cycle", "half order of the four-stroke cycle"}.isdisjoint(record.kinds)
 
 
 @dataclass(frozen=True)
-class Guide:
-    """A whole order that is drawn for orientation."""
+class _OrderLine:
+    """An order on a map: where it was ``seen`` [rpm], None for one that is drawn for orientation alone."""
 
     order: float
-    amplitude: float = 0.0
+    text: str
+    seen: tuple[float, float] | None = None
+    color: str = INK
+    bold: bool = False
 
 
-def _guides(panel: Panel, levels: LevelMap) -> list[Guide]:
-    """Whole orders for orientation that cross the map, at most twelve; no findings stand behind them."""
-    highest = panel.x[1] if levels.by_order else 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
-    step = next((step for step in (1, 2, 5, 10, 20, 50, 100) if highest / step <= _MOST_GUIDES), 0)
-    orders = {1.0, *(map(float, np.arange(step, highest, step)) if step else ())}
-    return [Guide(order) for order in sorted(orders)]
+def _order_lines(panel: Panel, levels: LevelMap, findings: Findings, channel: str, limit: int) -> list[_OrderLine]:
+    """Orders found in a ``channel``; where no findings were asked for, whole orders that cross the map, at most 12."""
+    if findings.not_asked_for:
+        highest = panel.x[1] if levels.by_order else 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
+        step = next((step for step in (1, 2, 5, 10, 20, 50, 100) if highest / step <= _MOST_GUIDES), 0)
+        orders = {1.0, *(map(float, np.arange(step, highest, step)) if step else ())}
+        return [_OrderLine(order, order_text(order)) for order in sorted(orders)]
+    records = [] if levels.timeless else orders_of(findings, channel, limit=limit)
+    loudest = max((record.amplitude for record in records), default=0.0)
+    lines = []
+    for record in records:
+        seen, color = known(record.speed_range_rpm) or panel.y, HALF_ORDER if _is_of_cycle(record) else INK
+        bold = record.amplitude == loudest > 0
+        lines.append(_OrderLine(record.order, order_name(record, findings), seen, color, bold))
+    return lines
 
 
 def _draw_modes(panel: Panel, levels: LevelMap, modes: list[ModeFinding], channel: str) -> None:
@@ -407,93 +400,69 @@ def _draw_crossings(panel: Panel, levels: LevelMap, findings: Findings, channel:
 
 
 def _label_edges(
-    panel: Panel, levels: LevelMap, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], findings: Findings
+    panel: Panel, levels: LevelMap, lines: list[_OrderLine], modes: list[ModeFinding], strip: list[_StripBand]
 ) -> None:
-    """Orders where their lines leave the diagram, natural frequencies and tones above; speeds to avoid at the right.
-
-    The strongest order is bold.
-    """
+    """Orders where their lines leave the diagram, natural frequencies and tones above; speeds to avoid at the right."""
     drawing, (left, bottom, width, height) = panel.drawing, panel.box
     (f_low, f_high), (low, high) = panel.x, panel.y
-    loudest = max((record.amplitude for record in orders), default=0.0)
     top, side = [], []
-    for number, record in enumerate(orders):
-        order, text = record.order, order_name(record, findings)
-        bold = loudest > 0 and record.amplitude == loudest
-        colour = HALF_ORDER if is_of_cycle(record) else INK
-        place = float(levels.of_order(order, high))
+    for number, line in enumerate(lines):
+        place = float(levels.of_order(line.order, high))
         if f_low <= place <= f_high:
-            top.append(EdgeLabel(float(panel.at(place, high)[0, 0]), text, colour, number, bold))
-        elif not levels.by_order and low < 60 * f_high / order < high and len(levels.speed) > 1:
-            side.append(EdgeLabel(float(panel.at(f_high, 60 * f_high / order)[0, 1]), text, colour, number, bold))
-    marks = [(float(levels.of_hertz(hertz, panel.y[1])), text, color) for hertz, text, color in mode_marks(modes)]
-    lines = label_top(drawing, panel.box, [fitted(top, width), fitted(edge_labels(panel, marks), width)])
-    avoid = [] if levels.timeless else draw_strip(panel, findings)
-    shift = STRIP_IN if _ranges(findings) or free_bands(findings) or open_bands(findings) else 0.0
+            top.append(EdgeLabel(float(panel.at(place, high)[0, 0]), line.text, line.color, number, line.bold))
+        elif not levels.by_order and low < 60 * f_high / line.order < high and len(levels.speed) > 1:
+            at = panel.height_at(60 * f_high / line.order)
+            side.append(EdgeLabel(at, line.text, line.color, number, line.bold))
+    marks = [(float(levels.of_hertz(hertz, high)), text, color) for hertz, text, color in mode_marks(modes)]
+    text_heights = label_top(drawing, panel.box, [fitted(top, width), fitted(edge_labels(panel, marks), width)])
+    avoid = [] if levels.timeless else _draw_strip(panel, strip)
+    shift = _STRIP_IN if strip else 0.0
     label_right(drawing, (left, bottom, width + shift, height), [*side, *avoid])
     if top:
-        drawing.add(Words(left - 0.3, lines[0], "order", SMALL, INK, along="right"))
+        drawing.add(Words(left - 0.3, text_heights[0], "order", SMALL, INK, along="right"))
     if side:
         drawing.add(Words(left + width + 0.06 + shift, bottom + height + 0.135, "order", SMALL, INK))
 
 
-def edge_labels(panel: Panel, marks: Sequence[Mark]) -> list[EdgeLabel]:
-    """Labels of those of ``marks`` that lie within ``panel``."""
-    return [
-        EdgeLabel(float(panel.at(place, panel.y[0])[0, 0]), text, color, number)
-        for number, (place, text, color) in enumerate(marks)
-        if panel.x[0] <= place <= panel.x[1]
-    ]
-
-
-STRIP_IN = 0.13
-"""Room in inches that the strip takes right of the diagram."""
-
+_STRIP_IN = 0.13  # room that the strip takes right of the diagram
 _WIDTH_PT = 4.0
 _AT_IN = 0.07  # middle of the strip from the diagram
 _LABELS = 12  # speeds to avoid that are named, the worst
 _LEAST_IN = 0.05  # a range is drawn at least this high
 _OPEN_SHARE = 0.005  # of the speed, on either side of a crossing that was not judged
 
-
-def _ranges(findings: Findings) -> list[tuple[float, float, float]]:
-    """Lower end, upper end and centre [rpm] of each speed range to avoid."""
-    return [(*ends, avoid.rpm) for avoid in findings.speeds_to_avoid or () if (ends := known(avoid.rpm_range))]
+_StripBand = tuple[str, str, float, float, float | None]
+"""Colour, name, lower and upper end [rpm] of a part of the strip; and the speed by which a range to avoid is named."""
 
 
-def draw_strip(panel: Panel, findings: Findings) -> list[EdgeLabel]:
-    """Draw the strip of the ``findings`` right of ``panel``; the labels of the speeds to avoid, for its right edge."""
-    low, high = panel.y
-    for name, color, bands in (("not-free", NOT_JUDGED, open_bands), ("free", FREE, free_bands)):
-        for number, (start, end) in enumerate(bands(findings)):
-            _mark(panel, (max(start, low), min(end, high)), color, f"{name}-{number}")
-    for number, rpm in enumerate(_open_rpm(findings)):
-        if low <= rpm <= high:
-            _mark(panel, (rpm * (1 - _OPEN_SHARE), rpm * (1 + _OPEN_SHARE)), NOT_JUDGED, f"open-{number}")
+def _strip(findings: Findings) -> list[_StripBand]:
+    """Parts of the strip: bands that are not free, free ones, crossings in these not judged, speeds to avoid."""
+    free = free_bands(findings)
+    unsure = [rpm for rpm in not_judged_rpm(findings) if any(low <= rpm <= high for low, high in free)]
+    avoided = [(known(avoid.rpm_range), avoid.rpm) for avoid in findings.speeds_to_avoid or ()]
+    return [
+        *((NOT_JUDGED, "not-free", *ends, None) for ends in open_bands(findings)),
+        *((FREE, "free", *ends, None) for ends in free),
+        *((NOT_JUDGED, "open", rpm * (1 - _OPEN_SHARE), rpm * (1 + _OPEN_SHARE), None) for rpm in unsure),
+        *((AVOID, "avoid", *ends, rpm) for ends, rpm in avoided if ends),
+    ]
+
+
+def _draw_strip(panel: Panel, strip: list[_StripBand]) -> list[EdgeLabel]:
+    """Draw the ``strip`` right of ``panel``; the labels of the speeds to avoid, for its right edge."""
+    (low, high), x = panel.y, panel.box[0] + panel.box[2] + _AT_IN
     labels = []
-    for number, (start, end, rpm) in enumerate(_ranges(findings)):
-        if low < end and start < high:
-            _mark(panel, (max(start, low), min(end, high)), AVOID, f"avoid-{number}")
-            at = float(panel.at(panel.x[1], min(max(rpm, low), high))[0, 1])
-            labels.append(EdgeLabel(at, f"{rpm:.0f}", AVOID, 1000 + number))
+    for number, (color, name, start, end, rpm) in enumerate(strip):
+        start, end = max(start, low), min(end, high)
+        if end <= start:
+            continue
+        bottom, top = panel.height_at(start), panel.height_at(end)
+        spare = max(_LEAST_IN - (top - bottom), 0.0) / 2
+        points, values = np.array([[x, bottom - spare], [x, top + spare]]), (np.full(2, np.nan), np.array([start, end]))
+        panel.drawing.add(Stroke(points, color, _WIDTH_PT, square=True, name=f"{name}-{number}", values=values))
+        if rpm is not None:
+            labels.append(EdgeLabel(panel.height_at(min(max(rpm, low), high)), f"{rpm:.0f}", AVOID, 1000 + number))
     return labels[:_LABELS]
-
-
-def _open_rpm(findings: Findings) -> list[float]:
-    """Speeds [rpm] within free bands at which a crossing could not be judged."""
-    return [rpm for rpm in not_judged_rpm(findings) if any(low <= rpm <= high for low, high in free_bands(findings))]
-
-
-def _mark(panel: Panel, speeds: tuple[float, float], color: str, name: str) -> None:
-    slow, fast = speeds
-    if fast <= slow:
-        return
-    left, _, width, _ = panel.box
-    (_, bottom), (_, top) = panel.at(panel.x[1], np.array(speeds))
-    x, short = left + width + _AT_IN, max(_LEAST_IN - (top - bottom), 0.0) / 2
-    ends = np.array([[x, bottom - short], [x, top + short]])
-    values = (np.array([np.nan, np.nan]), np.array(speeds))
-    panel.drawing.add(Stroke(ends, color, _WIDTH_PT, square=True, name=name, values=values))
 
 
 def campbell(
@@ -592,4 +561,4 @@ def _on_axes(
             draw_levels(panel, levels, limits)
         keys_below(panel, draw_findings(panel, levels, shown, name, limit=_MOST_ORDERS))
 
-    return painted(axes, content, level_at=levels.level_at)
+    return painted(axes, content)

@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,11 +61,9 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Area:
-    """The area between two curves over the same places along, in inches; nothing where one is NaN."""
+    """The area within outlines (n, 2) in inches, which rows of NaN part."""
 
-    along: Floats
-    low: Floats
-    high: Floats
+    points: Floats
     color: str
     alpha: float = 1.0
     within: Box | None = None
@@ -82,7 +79,6 @@ class Rings:
     color: str
     width: float = 0.0
     alpha: float = 1.0
-    within: Box | None = None
     name: str = ""
     values: tuple[Floats, Floats] | None = None
 
@@ -181,84 +177,78 @@ def pixels_of(box: Box, dpi: float) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes over ``box`` of ``drawing`` from ``x`` (low, high) and ``y`` (low, high), the latter logarithmic or not."""
+    """Axes over ``box`` of ``drawing`` from ``x`` (low, high) and ``y`` (low, high), the latter logarithmic or not.
+
+    ``inches``: transform from values to inches of axes of matplotlib that stand there, on any scale.
+    """
 
     drawing: Drawing
     box: Box
     x: tuple[float, float]
     y: tuple[float, float]
     log_y: bool = False
+    inches: Any = None
 
     def at(self, x: Floats | float, y: Floats | float) -> Floats:
         """Places (n, 2) in inches of values ``x``, ``y``; values ≤ 0 of a logarithmic axis are NaN."""
+        values = np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2).astype(float)
+        if self.inches is not None:
+            return np.asarray(self.inches.transform(values))
+        ends = np.array([self.x, self.y])
+        if self.log_y:
+            values[:, 1], ends[1] = np.log(np.where(values[:, 1] > 0, values[:, 1], np.nan)), np.log(ends[1])
         left, bottom, width, height = self.box
-        along = left + width * (np.asarray(x, dtype=float) - self.x[0]) / (self.x[1] - self.x[0])
-        return np.stack(np.broadcast_arrays(along, bottom + height * self.share(y)), axis=-1).reshape(-1, 2)
+        return np.asarray((left, bottom) + (values - ends[:, 0]) / (ends[:, 1] - ends[:, 0]) * (width, height))
 
-    def share(self, y: Floats | float) -> Floats:
-        """Height of values ``y`` as a share of the panel."""
-        values = np.asarray(y, dtype=float)
-        if not self.log_y:
-            return np.asarray((values - self.y[0]) / (self.y[1] - self.y[0]))
-        ratio = np.where(values > 0, values, np.nan) / self.y[0]
-        return np.asarray(np.log(ratio) / np.log(self.y[1] / self.y[0]))
+    def height_at(self, y: float) -> float:
+        """Height of the value ``y`` in inches from the bottom of the drawing."""
+        return float(self.at(self.x[0], y)[0, 1])
 
-    def curve(
-        self,
-        x: Floats,
-        y: Floats,
-        *,
-        color: str,
-        width: float = 1.3,
-        alpha: float = 1.0,
-        dashes: Dashes = SOLID,
-        name: str = "",
-    ) -> None:
-        """Line through ``x``, ``y``: ``color``, ``width`` in points, opacity ``alpha``, ``dashes``; its ``name``."""
-        places, values = self.at(x, y), (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        self.drawing.add(Stroke(places, color, width, dashes, alpha, self.box, name=name, values=values))
-
-    def band(self, x: Floats, low: Floats, high: Floats, *, color: str, alpha: float) -> None:
-        """Area over ``x`` from ``low`` to ``high`` in ``color`` with opacity ``alpha``."""
-        bottom = self.y[0] if self.log_y else -np.inf
-        ends = [self.at(x, np.where(np.isfinite(end), np.maximum(end, bottom), np.nan))[:, 1] for end in (low, high)]
-        self.drawing.add(Area(self.at(x, self.y[1])[:, 0], ends[0], ends[1], color, alpha, self.box, "band"))
-
-    def dots(self, x: Floats, y: Floats, *, color: str, radius: float) -> None:
-        """Discs at ``x``, ``y`` in ``color``; ``radius`` in points."""
-        (left, bottom, width, height), by = self.box, radius / 72
-        within = (left - by, bottom - by, width + 2 * by, height + 2 * by)
+    def curve(self, x: Floats, y: Floats, *, color: str, width: float = 1.3, **look: Any) -> None:
+        """Line through ``x``, ``y``: ``color``, ``width`` in points; ``look``: further fields of :class:`Stroke`."""
         values = (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        self.drawing.add(Rings(self.at(x, y), radius, color, within=within, values=values))
+        self.drawing.add(Stroke(self.at(x, y), color, width, within=self.box, values=values, **look))
 
-    def rings(
-        self, x: Floats, y: Floats, *, color: str, radius: float, width: float, alpha: float = 1.0, name: str = ""
-    ) -> None:
-        """Circles around ``x``, ``y``, whole where they touch the panel; called ``name``.
+    def upright(self, x: float, *, color: str, width: float = 0.8, **look: Any) -> None:
+        """Line over the whole height at ``x``: ``color``, ``width`` in points; ``look``: fields of :class:`Stroke`."""
+        self.curve(np.array([x, x]), np.array(self.y), color=color, width=width, square=True, **look)
 
-        ``radius`` and ``width`` in points, ``color`` with the opacity ``alpha``.
+    def band(self, x: Floats, low: Floats, high: Floats, *, color: str, alpha: float, name: str = "band") -> None:
+        """Area called ``name`` over ``x`` from ``low`` to ``high`` in ``color`` with opacity ``alpha``."""
+        bottom = self.y[0] if self.log_y else -np.inf
+        under, over = (self.at(x, np.where(np.isfinite(end), np.maximum(end, bottom), np.nan)) for end in (low, high))
+        known = np.flatnonzero(np.isfinite(under + over).all(axis=1))
+        outlines = [np.full((1, 2), np.nan)]
+        for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+            if len(run) > 1:
+                outlines += [under[run], over[run][::-1], outlines[0]]
+        self.drawing.add(Area(np.concatenate(outlines[1:] or outlines), color, alpha, self.box, name))
+
+    def rings(self, x: Floats, y: Floats, *, color: str, radius: float, **look: Any) -> None:
+        """Discs at ``x``, ``y`` in ``color``, whole where they touch the panel; circles where they have a ``width``.
+
+        ``radius`` in points; ``look``: further fields of :class:`Rings`.
         """
         places, (left, bottom, wide, high), by = self.at(x, y), self.box, radius / 72
         near = (np.abs(places - (left + wide / 2, bottom + high / 2)) <= (wide / 2 + by, high / 2 + by)).all(axis=1)
         values = (np.asarray(x, dtype=float)[near], np.asarray(y, dtype=float)[near])
-        self.drawing.add(Rings(places[near], radius, color, width, alpha, name=name, values=values))
+        self.drawing.add(Rings(places[near], radius, color, values=values, **look))
 
     def pixel_edges(self) -> tuple[Floats, Floats]:
         """Edges, along and upwards and in values, of the pixels that a map over the panel has."""
         rows, columns = pixels_of(self.box, self.drawing.dpi)
-        return np.linspace(*self.x, columns + 1), np.linspace(*self.y, rows + 1)
+        if self.inches is None:
+            return np.linspace(*self.x, columns + 1), np.linspace(*self.y, rows + 1)
+        (left, bottom, width, height), back = self.box, self.inches.inverted()
+        x = np.column_stack([np.linspace(left, left + width, columns + 1), np.full(columns + 1, bottom)])
+        y = np.column_stack([np.full(rows + 1, left), np.linspace(bottom, bottom + height, rows + 1)])
+        return back.transform(x)[:, 0], back.transform(y)[:, 1]
 
-    def upright(
-        self, x: float, *, color: str, width: float = 0.8, alpha: float = 1.0, dashes: Dashes = SOLID, name: str = ""
-    ) -> None:
-        """Line over the whole height at ``x``: ``color``, ``width`` in points, ``alpha``, ``dashes``; its ``name``."""
-        ends = np.array([x, x], dtype=float), np.array(self.y)
-        self.drawing.add(Stroke(self.at(*ends), color, width, dashes, alpha, self.box, True, name, ends))
-
-    def note(self, text: str, *, up: float = 0.5) -> None:
-        """``text`` on a white ground in the middle of the panel, at the share ``up`` of its height."""
+    def note(self, text: str, *, at_in: float | None = None) -> None:
+        """``text`` on a white ground in the middle of the panel, or at the height ``at_in`` inches in the drawing."""
         left, bottom, width, height = self.box
-        x, y, half = left + 0.5 * width, bottom + up * height, text_width_in(text, NORMAL) / 2 + 0.05
+        y = bottom + height / 2 if at_in is None else at_in
+        x, half = left + width / 2, text_width_in(text, NORMAL) / 2 + 0.05
         self.drawing.add(Stroke(np.array([[x - half, y], [x + half, y]]), "#ffffff", 14.0))
         self.drawing.add(Words(x, y, text, NORMAL, FAINT, along="centre", across="centre"))
 
@@ -266,20 +256,27 @@ class Panel:
         """Left and bottom edges, or all four where ``whole``."""
         left, bottom, width, height = self.box
         corners = [(left, bottom + height), (left, bottom), (left + width, bottom)]
-        if whole:
-            corners += [(left + width, bottom + height), (left, bottom + height)]
-        for ends in pairwise(corners):
-            self._edge(*ends)
+        self._edge(*corners, *([(left + width, bottom + height), corners[0]] if whole else []))
 
-    def _edge(self, *ends: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
-        self.drawing.add(Stroke(np.array(ends), color, width, square=True))
+    def _edge(self, *corners: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
+        self.drawing.add(Stroke(np.array(corners), color, width, square=True))
 
     def x_axis(
-        self, label: str = "", *, most: int = 8, whole: bool = False, named: bool = True, grid: bool = True
+        self,
+        label: str = "",
+        *,
+        most: int = 8,
+        places: Floats | None = None,
+        whole: bool = False,
+        named: bool = True,
+        grid: bool = True,
     ) -> None:
-        """Ticks below, at most ``most``, whole numbers or not, ``named`` or bare, a ``grid`` and a ``label``."""
+        """Ticks below at ``places``, or at most ``most`` round ones, ``whole`` numbers or not, and a ``label``.
+
+        The ticks are ``named`` or bare; with a ``grid`` or without.
+        """
         left, bottom, width, height = self.box
-        places = linear_ticks(*self.x, most=most, whole=whole)
+        places = linear_ticks(*self.x, most=most, whole=whole) if places is None else places
         for (x, _), text in zip(self.at(places, np.full(len(places), self.y[1])), linear_texts(places), strict=True):
             if grid:
                 self._edge((x, bottom), (x, bottom + height), color=GRID, width=0.6)

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from crankorder.findings import Findings, ModeFinding
-from crankorder.plot.drawing import SOLID, Box, Dashes, Drawing, Rings, Stroke, Words, quality_text, title_lines
+from crankorder.plot.drawing import SOLID, Box, Dashes, Drawing, Panel, Rings, Stroke, Words, quality_text, title_lines
 from crankorder.plot.palette import (
     CAP_HEIGHT,
     DOUBT_DASHES,
     INK,
     LARGE,
+    LINES,
     MAINS,
     MAINS_ON_MAP,
     MODE,
@@ -204,6 +205,26 @@ def draw_keys(
 
 Mark = tuple[float, str, str]
 """Place along the axis, text and colour of what is named above a diagram."""
+
+
+def edge_labels(panel: Panel, marks: Sequence[Mark]) -> list[EdgeLabel]:
+    """Labels of those of ``marks`` that lie within ``panel``."""
+    return [
+        EdgeLabel(float(panel.at(place, panel.y[0])[0, 0]), text, color, number)
+        for number, (place, text, color) in enumerate(marks)
+        if panel.x[0] <= place <= panel.x[1]
+    ]
+
+
+def label_column(panel: Panel, marks: list[Mark], caption: str, above: Sequence[Mark] = ()) -> None:
+    """Write ``marks`` (place, text, colour) over the first ``panel`` of a column, and those ``above`` over them.
+
+    ``caption`` stands before them: what the marks are.
+    """
+    tiers = [edge_labels(panel, tier) for tier in (marks, above)]
+    lines = label_top(panel.drawing, panel.box, [fitted(labels, panel.box[2]) for labels in tiers])
+    if tiers[0] and caption:
+        panel.drawing.add(Words(panel.box[0] - 0.25, lines[0], caption, SMALL, LINES[1], along="right"))
 
 
 def mode_style(mode: ModeFinding) -> tuple[str, str, str, Dashes]:

@@ -1,4 +1,7 @@
-"""Amplitude and phase of the orders against speed, with intervals; one column of panels per channel."""
+"""Orders against speed, with intervals, one column of panels per channel; and speed against time.
+
+Speed against time shows how the machine was driven, and how unevenly it turned where an encoder shows that.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,12 @@ from numpy.typing import NDArray
 from crankorder.channel_units import unit_text
 from crankorder.errors import RequestError
 from crankorder.findings import Findings
-from crankorder.plot.axes import axes_for, channel_of, dress, painted, scale, y_label
+from crankorder.plot.axes import axes_for, channel_of, dataset_of, dress, painted, scale, y_label
 from crankorder.plot.campbell_figure import gaps_before, speed_cells
 from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words
-from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
+from crankorder.plot.labels import EdgeLabel, head_of_test, label_column, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.reading import names_of_orders, nominal_order
-from crankorder.plot.spectra_figure import label_column
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ReportSettings
 
@@ -216,7 +218,7 @@ def _draw_line(panel: Panel, shown: ShownTracks, channel: int, number: int) -> N
         panel.band(along, low, high, color=color, alpha=0.2)
     panel.curve(along, line, color=color, width=1.3 if coloured else 0.9, name=f"order-{shown.texts[number]}")
     if len(speed) <= _WITHOUT_MARKERS:
-        panel.dots(speed, amplitude, color=color, radius=1.5 if coloured else 1.0)
+        panel.rings(speed, amplitude, color=color, radius=1.5 if coloured else 1.0)
 
 
 def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> None:
@@ -229,7 +231,7 @@ def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> 
     breaks = _broken(speed, phase, wrap=_JOINED_DEG if locked else 0.0)
     along, line = (np.insert(values, breaks, np.nan) for values in (speed, phase))
     panel.curve(along, line, color=color, width=0.9, name="phase")
-    panel.dots(speed, phase, color=color, radius=1.2 if len(speed) <= _WITHOUT_MARKERS else 0.6)
+    panel.rings(speed, phase, color=color, radius=1.2 if len(speed) <= _WITHOUT_MARKERS else 0.6)
 
 
 def _label_lines(panel: Panel, shown: ShownTracks, channel: int) -> None:
@@ -240,13 +242,14 @@ def _label_lines(panel: Panel, shown: ShownTracks, channel: int) -> None:
         known = amplitude[np.isfinite(amplitude) & (shown.speed >= panel.x[0]) & (shown.speed <= panel.x[1])]
         if not len(known):
             continue
-        height = panel.box[1] + panel.box[3] * float(panel.share(float(np.clip(known[-1], low, high))))
+        height = panel.height_at(float(np.clip(known[-1], low, high)))
         color = shown.color(number) if shown.coloured[number] else FAINT
         labels.append(EdgeLabel(height, text, color, number))
     label_right(panel.drawing, panel.box, labels)
     if not labels:
-        panel.note("no order stands clear", up=0.53)
-        panel.note("of the noise", up=0.47)
+        middle = panel.box[1] + panel.box[3] / 2
+        panel.note("no order stands clear", at_in=middle + 0.09)
+        panel.note("of the noise", at_in=middle - 0.09)
     else:
         left, bottom, width, height = panel.box
         panel.drawing.add(Words(left + width + 0.1, bottom + height + 0.09, "order", SMALL, FAINT))
@@ -330,6 +333,160 @@ def _draw_points(panel: Panel, shown: ShownTracks) -> None:
         x = np.array([order])
         panel.upright(order, color=LINES[1], width=0.7, alpha=0.3)
         panel.curve(np.repeat(x, 2), np.concatenate([low, high]), color=LINES[1], width=1.2, name="interval")
-        panel.dots(x, amplitude, color=LINES[1], radius=2.0)
+        panel.rings(x, amplitude, color=LINES[1], radius=2.0)
         marks.append((order, shown.texts[number], LINES[1]))
     label_column(panel, marks, "order")
+
+
+_SPEED_TOP, _SPEED_RIGHT, _SPEED_HEIGHT = 0.84, 1.6, 3.8  # inches
+_CHANGES = 1.1  # highest over lowest speed of a recording whose speed changes
+_SMOOTH = 20  # the ends of a trace are told from the means of so many pieces of it
+_PIECES = 800  # of time, where a recording has more than twice as many speeds
+
+
+def changing_recordings(shaft: xr.Dataset) -> list[int]:
+    """Numbers of the recordings of ``shaft`` (the group of the results) whose speed changes by a tenth and more.
+
+    Motion within an engine cycle does not count. None where the group holds no ``speed_trace``.
+    """
+    if "speed_trace" not in shaft:
+        return []
+    traces = shaft["speed_trace"].transpose("recording", "knot").values
+    return [number for number, trace in enumerate(traces) if _spread(trace) > _CHANGES]
+
+
+def shown_recordings(shaft: xr.Dataset) -> list[int]:
+    """Numbers of the recordings of ``shaft`` that are drawn: their speed changes, else all with pulses."""
+    numbers = changing_recordings(shaft)
+    if numbers or "speed_trace" not in shaft or "n_pulses" not in shaft:
+        return numbers
+    drawn = np.isfinite(shaft["speed_trace"].transpose("recording", "knot").values).any(axis=1)
+    return np.flatnonzero((shaft["n_pulses"].values > 0) & drawn).tolist()
+
+
+def _spread(trace: Floats) -> float:
+    known = trace[np.isfinite(trace)]
+    if len(known) < 2:
+        return 1.0
+    means = np.array([piece.mean() for piece in np.array_split(known, min(_SMOOTH, len(known)))])
+    return float(means.max() / max(float(means.min()), 1e-3))
+
+
+def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
+    """Speed [rpm] against time [s] of the :func:`shown_recordings`, with its swing as a band.
+
+    ``shaft`` the group of that name of the results, with ``trace_time``, ``speed_trace`` and where known
+    ``speed_trace_low``, ``speed_trace_high`` (recording, knot); ``findings`` of the same test; ``settings`` of the
+    report.
+    """
+    numbers = shown_recordings(shaft)
+    time, speed = (shaft[name].transpose("recording", "knot").values for name in ("trace_time", "speed_trace"))
+    time = time - np.nanmin(time, axis=1, keepdims=True, initial=np.inf)
+    low, high = (
+        shaft[name].transpose("recording", "knot").values if name in shaft else speed
+        for name in ("speed_trace_low", "speed_trace_high")
+    )
+    drawing = Drawing(settings.width_in, _SPEED_HEIGHT)
+    box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _SPEED_RIGHT, _SPEED_HEIGHT - _BOTTOM - _SPEED_TOP)
+    ends = _ends(low[numbers], high[numbers], from_zero=bool(changing_recordings(shaft)))
+    panel = Panel(drawing, box, (0.0, float(np.nanmax(time[numbers], initial=1e-3))), ends)
+    panel.x_axis("Time from the first pulse, s", most=10)
+    panel.y_axis("Speed, rpm", most=6)
+    panel.frame()
+    labels, few = [], len(numbers) <= 2 * _COLOURED
+    named = np.arange(len(numbers)) if few else np.linspace(0, len(numbers) - 1, _COLOURED).round()
+    colors = {int(place): LINES[rank] for rank, place in enumerate(named[:_COLOURED])}
+    for place, number in enumerate(numbers):
+        color = colors.get(place, LIGHT)
+        draw_speed(panel, time[number], speed[number], (low[number], high[number]), color, name=f"speed-{number}")
+        known = speed[number][np.isfinite(speed[number])]
+        name = drawable(shaft["recording"].values[number], settings.max_name_characters)
+        height = panel.height_at(float(known[-1]))
+        if few or place in colors:
+            labels.append(EdgeLabel(height, shortened(name, SMALL, _SPEED_RIGHT - 0.3), colors.get(place, FAINT)))
+    label_right(drawing, box, labels)
+    subtitle = _speed_subtitle(shaft, numbers)
+    head_of_test(drawing, _LEFT, findings, "speed against time", subtitle, longest=settings.max_name_characters)
+    return drawing
+
+
+def draw_speed(
+    panel: Panel, time: Floats, speed: Floats, swing: tuple[Floats, Floats], color: str, *, name: str = "speed"
+) -> None:
+    """Draw ``speed`` over ``time`` in ``panel`` as a line in ``color`` called ``name``, its ``swing`` as a band."""
+    panel.band(time, *swing, color=color, alpha=0.25)
+    panel.curve(time, speed, color=color, name=name)
+
+
+def _ends(low: Floats, high: Floats, *, from_zero: bool) -> tuple[float, float]:
+    """Limits of the speed axis: from standstill where the speed changes, else close around the data."""
+    top, bottom = float(np.nanmax(high, initial=1.0)), float(np.nanmin(low, initial=np.inf))
+    if from_zero or not np.isfinite(bottom):
+        return 0.0, 1.05 * top
+    spare = max(0.1 * (top - bottom), 0.005 * top)
+    return max(0.0, bottom - spare), top + spare
+
+
+def _speed_subtitle(shaft: xr.Dataset, numbers: list[int]) -> str:
+    speed = shaft["speed_trace"].transpose("recording", "knot").values[numbers]
+    rest = shaft.sizes["recording"] - len(numbers)
+    keep = "keep their speed" if rest > 1 else "keeps its speed"
+    lack = "have no encoder" if rest > 1 else "has no encoder"
+    more = f" {rest} other{'s' * (rest > 1)} {keep if changing_recordings(shaft) else lack}." if rest else ""
+    return (
+        f"{np.nanmin(speed, initial=np.inf):.0f} to {np.nanmax(speed, initial=0.0):.0f} rpm; "
+        f"the band: lowest to highest within each piece of time, with the noise of the encoder's edges.{more}"
+    )
+
+
+def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
+    """Speed [rpm] against time [s] of one recording; returns the axes.
+
+    Of very many knots the mean is drawn, and lowest to highest speed of each piece of time as a pale band.
+
+    Parameters
+    ----------
+    crank_angle : ShaftAngle of :func:`crankorder.crank_angle`
+    ax : axes to draw on; without them a new figure of pyplot's
+
+    Raises RequestError for another dataset or axes.
+
+    >>> import numpy as np, crankorder as co
+    >>> turns = np.arange(0.0, 4.0, 1 / (25.0 * 60))
+    >>> recording = co.recording(np.zeros(4000), rate_hz=1000.0, pulse_times_s=turns, pulses_per_rev=60)
+    >>> axes = co.plot.speed(co.crank_angle(recording))
+    >>> axes.get_xlabel(), axes.get_ylabel()
+    ('Time, s', 'Speed, rpm')
+    """
+    dataset = dataset_of(crank_angle, "shaft_angle", "speed")
+    time, values = (np.asarray(dataset[name].values, dtype=float) for name in ("time", "speed"))
+    placed = np.isfinite(time) & np.isfinite(values)
+    time, values = time[placed], values[placed]
+    axes = axes_for(ax, "speed", height_in=3.2)
+    many = len(values) > 2 * _PIECES
+    when, mean, low, high = _pieces(time, values) if many else (time, values, values, values)
+    ends = dict.fromkeys(f"{pick(mean):.0f}" for pick in (np.min, np.max)) if len(mean) else ()
+    span = f"{' to '.join(ends)} rpm" if ends else ""
+    remark = f"{span}, band: lowest to highest" if many else span
+    dress(axes, x="Time, s", y="Speed, rpm", title=str(dataset.attrs["recording"]), note=remark)
+    if not len(values):
+        scale(axes, (0.0, 1.0), None)
+        return painted(axes, lambda panel: panel.note("no speed is known"))
+    changes = 0.0 < _CHANGES * float(values.min()) < float(values.max())
+    scale(axes, time, _ends(low, high, from_zero=changes), log_y=False)
+
+    def content(panel: Panel) -> None:
+        draw_speed(panel, when, mean, (low, high), LINES[0])
+        if len(when) == 1:
+            panel.rings(when, mean, color=LINES[0], radius=3.0)
+
+    return painted(axes, content)
+
+
+def _pieces(time: Floats, values: Floats) -> Floats:
+    """Middle, mean, lowest and highest value, (4, pieces), of equal pieces of ``time`` that hold any."""
+    number = np.minimum(((time - time[0]) / (time[-1] - time[0]) * _PIECES).astype(int), _PIECES - 1)
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    count = np.diff(np.append(first, len(values)))
+    means = (np.add.reduceat(series, first) / count for series in (time, values))
+    return np.stack([*means, np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)])

@@ -10,7 +10,6 @@ import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
 from math import log10
@@ -30,7 +29,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from matplotlib.transforms import Affine2D, Bbox
 from numpy.typing import NDArray
 
-from crankorder.findings import Findings
 from crankorder.plot.drawing import (
     FEW_DECADES,
     Area,
@@ -43,7 +41,6 @@ from crankorder.plot.drawing import (
     Words,
     decade_text,
     pixels_of,
-    quality_text,
     whole,
 )
 from crankorder.plot.palette import (
@@ -51,16 +48,12 @@ from crankorder.plot.palette import (
     GRID,
     INK,
     LARGE,
-    MAINS,
     NORMAL,
-    SMALL,
-    drawable,
     font_file,
     rgb_of,
     shortened,
     text_ink,
 )
-from crankorder.quantities import Floats
 from crankorder.settings import PictureFormat
 
 _LOCK = threading.RLock()  # rc settings are global to matplotlib, and tests are analysed in threads
@@ -98,18 +91,6 @@ def title_lines(figure: Figure, left_in: float, title: str, sentence: str) -> No
     write(figure, left_in, height - 0.34, shortened(title, LARGE, room, bold=True), fontsize=LARGE, fontweight="bold")
     if sentence:
         write(figure, left_in, height - 0.56, shortened(sentence, NORMAL, room), color=FAINT)
-
-
-def head_of_test(figure: Figure, left_in: float, findings: Findings, what: str, sentence: str, *, longest: int) -> None:
-    """Title of ``figure``: the test of ``findings`` and ``what`` is shown of it, a ``sentence`` below, their doubts.
-
-    From ``left_in`` inches; the name of the test is cut at ``longest`` characters. The doubts stand at the foot.
-    """
-    title_lines(figure, left_in, f"{drawable(findings.test, longest)} · {what}", sentence)
-    text = quality_text(findings)
-    if text:
-        place = figure.get_size_inches()[0] - 0.2
-        write(figure, place, 0.14, text, ha="right", color=MAINS, fontsize=SMALL + 0.5)
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -194,19 +175,14 @@ class Painter:
         pen.restore()
 
     def area(self, part: Area) -> None:
-        """Draw one patch for each run of places where both curves of ``part`` are known."""
-        known = np.flatnonzero(np.isfinite(part.along) & np.isfinite(part.low) & np.isfinite(part.high))
-        low, high = (np.column_stack([part.along, edge]) for edge in (part.low, part.high))
+        """Fill the outlines of ``part``."""
         pen = self._pen(part.color, part.alpha, 0.0, part.within)
-        for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
-            if len(run) > 1:
-                outline = np.concatenate([low[run], high[run][::-1], low[run[:1]]])
-                self._to.draw_path(pen, Path(outline, closed=True), self._inches, to_rgba(part.color, part.alpha))
+        self._to.draw_path(pen, Path(part.points), self._inches, to_rgba(part.color, part.alpha))
         pen.restore()
 
     def rings(self, part: Rings) -> None:
         """Draw the circles of ``part``, or discs where its line has no width."""
-        pen = self._pen(part.color, part.alpha, part.width, part.within)
+        pen = self._pen(part.color, part.alpha, part.width)
         pen.set_snap(False)
         disc = None if part.width else to_rgba(part.color, part.alpha)
         size = Affine2D().scale(self._to.points_to_pixels(part.radius))
@@ -249,52 +225,31 @@ class Painter:
 
 
 class Painted(Artist):
-    """A ``drawing`` on a figure of matplotlib, for its files of vectors."""
+    """A ``drawing`` on a figure of matplotlib."""
 
-    def __init__(self, drawing: Drawing) -> None:
+    def __init__(self, drawing: Drawing | None = None) -> None:
         super().__init__()
         self._drawing = drawing
 
+    def drawing(self, magnification: float = 1.0) -> Drawing:
+        """What is drawn; maps finer by the ``magnification``."""
+        assert self._drawing is not None
+        return self._drawing
+
     def draw(self, renderer: Any) -> None:
         """Draw it with ``renderer``."""
-        figure: Any = self.get_figure()
-        Painter(renderer, figure.dpi).paint(self._drawing)
+        if self.get_visible():
+            figure: Any = self.get_figure()
+            Painter(renderer, figure.dpi).paint(self.drawing(renderer.get_image_magnification()))
+        self.stale = False
 
 
-@dataclass(frozen=True)
-class AxesPanel(Panel):
-    """A panel whose places are those of axes of matplotlib: ``inches`` leads to them from values, on any scale."""
+class PaintedPanel(Painted):
+    """What ``content`` draws on the panel that ``axes`` are, laid out anew with every drawing, for one may zoom."""
 
-    inches: Any = None
-
-    def at(self, x: Floats | float, y: Floats | float) -> Floats:
-        """Places (n, 2) in inches of values ``x``, ``y``."""
-        return np.asarray(self.inches.transform(np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2)))
-
-    def share(self, y: Floats | float) -> Floats:
-        """Height of values ``y`` as a share of the panel."""
-        return (self.at(self.x[0], y)[:, 1].reshape(np.shape(y)) - self.box[1]) / self.box[3]
-
-    def pixel_edges(self) -> tuple[Floats, Floats]:
-        """Edges, along and upwards and in values, of the pixels that a map over the panel has."""
-        (left, bottom, width, height), back = self.box, self.inches.inverted()
-        rows, columns = pixels_of(self.box, self.drawing.dpi)
-        x = np.column_stack([np.linspace(left, left + width, columns + 1), np.full(columns + 1, bottom)])
-        y = np.column_stack([np.full(rows + 1, left), np.linspace(bottom, bottom + height, rows + 1)])
-        return back.transform(x)[:, 0], back.transform(y)[:, 1]
-
-
-class PaintedPanel(Artist):
-    """What ``content`` draws on the panel that ``axes`` are, laid out anew with every drawing: one may zoom and resize.
-
-    ``level_at`` tells the level [dB] at a place (x, y), for the mouse.
-    """
-
-    def __init__(
-        self, axes: Axes, content: Callable[[Panel], object], level_at: Callable[[float, float], float | None] | None
-    ) -> None:
+    def __init__(self, axes: Axes, content: Callable[[Panel], object]) -> None:
         super().__init__()
-        self._content, self._level_at = content, level_at
+        self._content = content
         self.set_zorder(2)
         axes.add_artist(self)
         self.set_clip_on(False)
@@ -307,15 +262,8 @@ class PaintedPanel(Artist):
         drawing = Drawing(left + width, bottom + height, dpi=dpi * magnification)
         (x0, x1), (y0, y1) = (sorted(map(float, ends)) for ends in (axes.get_xlim(), axes.get_ylim()))
         inches = axes.transData + Affine2D().scale(1 / dpi)
-        self._content(AxesPanel(drawing, (left, bottom, width, height), (x0, x1), (y0, y1), log_y, inches))
+        self._content(Panel(drawing, (left, bottom, width, height), (x0, x1), (y0, y1), log_y, inches))
         return drawing
-
-    def draw(self, renderer: Any) -> None:
-        """Draw it with ``renderer``."""
-        if self.get_visible():
-            figure: Any = self.get_figure()
-            Painter(renderer, figure.dpi).paint(self.drawing(renderer.get_image_magnification()))
-        self.stale = False
 
     def get_window_extent(self, renderer: Any = None) -> Bbox:
         """Box of the axes and all texts in pixels, for layouts that make room; ``renderer`` is not needed."""
@@ -323,14 +271,6 @@ class PaintedPanel(Artist):
         dpi = axes.get_figure().dpi
         texts = [Bbox.from_bounds(*(dpi * edge for edge in words.box)) for words in self.drawing().words]
         return Bbox.union([axes.bbox, *texts])
-
-    def contains(self, mouseevent: Any) -> tuple[bool, dict[Any, Any]]:
-        """Whether the mouse at ``mouseevent`` is inside of the axes."""
-        return mouseevent.inaxes is self.axes, {}
-
-    def get_cursor_data(self, event: Any) -> float | None:
-        """Level in dB under the mouse at ``event``; None outside, and where no map is drawn."""
-        return self._level_at(event.xdata, event.ydata) if self._level_at else None
 
 
 def picture_bytes(figure: Drawing | Figure, *, dpi: int, kind: PictureFormat = "png") -> bytes:

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar
 
 from crankorder.cause import alike_speeds
 from crankorder.channel_units import unit_text
@@ -26,6 +26,7 @@ NAME_CHARACTERS = 60
 SAME_MODE = 1e-3
 """Share of a frequency within which two numbers are those of one natural frequency."""
 
+_REASON_CHARACTERS = 600  # those that this program words are shorter
 _SAME_ORDER = 1e-4  # an order this near to one of the findings is that one
 _CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
 _LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
@@ -36,14 +37,6 @@ _JUDGED = ("excited", "not excited", None)
 B = TypeVar("B", FreeBand, OpenBand)
 R = TypeVar("R", OrderFinding, MotorLine)
 K = TypeVar("K", bound=Hashable)
-
-
-class Numbered(Protocol):
-    """A record that has an order."""
-
-    @property
-    def order(self) -> float:
-        """Cycles per crank revolution."""
 
 
 def is_number(value: object) -> TypeGuard[float]:
@@ -106,10 +99,11 @@ def nominal_order(record: Any) -> float:
     return called_order(order, interval_of(record, "order"), getattr(record, "lock", None))
 
 
-def order_name(record: Numbered, findings: Findings) -> str:
-    """Short text of the order of a ``record`` that no other order of the ``findings`` has: ``"2"``, ``"1.005"``."""
-    same = min(findings.orders, key=lambda other: abs(other.order - record.order), default=record)
-    is_same = abs(same.order - record.order) < _SAME_ORDER and not interval_of(record, "order")
+def order_name(record: Any, findings: Findings) -> str:
+    """Short text of the order of a ``record``, or of an order, that no other of the ``findings`` has: ``"1.005"``."""
+    order = float(getattr(record, "order", record))
+    same = min(findings.orders, key=lambda other: abs(other.order - order), default=record)
+    is_same = abs(getattr(same, "order", order) - order) < _SAME_ORDER and not interval_of(record, "order")
     own = nominal_order(same if is_same else record)
     near = sorted({own, *(nominal_order(other) for other in findings.orders if abs(other.order - own) < _CLOSE_ORDERS)})
     return order_texts(near)[near.index(own)]
@@ -211,14 +205,6 @@ def not_judged_rpm(findings: Findings) -> list[float]:
     ]
 
 
-class InChannel(Protocol):
-    """A record that belongs to a channel."""
-
-    @property
-    def channel(self) -> str | None:
-        """Name of the channel."""
-
-
 def named(value: object, *, limit: int) -> str:
     """Text from a file, safe to show: control characters as ``\\xNN``, cut with an ellipsis.
 
@@ -232,12 +218,17 @@ def short(text: object) -> str:
     return printable(text, NAME_CHARACTERS)
 
 
+def reason_text(text: str | None) -> str:
+    """``text`` of a reason as the end of a sentence has it: whole, safe to show, no full stop; empty for None."""
+    return printable(text or "", _REASON_CHARACTERS).rstrip(".")
+
+
 def at_speed(rpm: float | None) -> str:
     """``" at 1800 rpm"``; empty where the speed is not known."""
     return f" at {rpm:.0f} rpm" if is_number(rpm) else ""
 
 
-def order_estimate(record: Numbered, findings: Findings) -> str:
+def order_estimate(record: Any, findings: Findings) -> str:
     """Order of a ``record`` with its interval, ``"5.500 (5.497…5.503)"``; without one its name in the ``findings``."""
     return estimate_text(record, "order") if getattr(record, "order_ci95", None) else order_name(record, findings)
 
@@ -250,7 +241,7 @@ def is_in_doubt(mode_hz: float, findings: Findings) -> bool:
     return abs(nearest.frequency_hz - mode_hz) > SAME_MODE * mode_hz
 
 
-def unit_of(findings: Findings, record: InChannel) -> str:
+def unit_of(findings: Findings, record: Any) -> str:
     """Typographic unit of a ``record``: its own, else that of its channel in ``findings``; empty where unknown."""
     own = getattr(record, "unit", None)
     units = {channel.name: channel.unit for channel in findings.channels}
@@ -284,7 +275,7 @@ def estimate_text(record: object, key: str, *, unit: str = "") -> str:
     return with_interval(getattr(record, key), getattr(record, f"{key}_ci95", None), unit=unit)
 
 
-def level_text(findings: Findings, record: InChannel) -> str:
+def level_text(findings: Findings, record: Any) -> str:
     """Amplitude of a ``record`` of the ``findings`` in a sentence: ``"0.83 m/s² (0.81…0.85)"``."""
     value, _, interval = estimate_text(record, "amplitude").partition(" ")
     return " ".join(part for part in (value, unit_of(findings, record), interval) if part)

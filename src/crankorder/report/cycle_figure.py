@@ -7,25 +7,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Wedge
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
 from crankorder.orders.intervals import t_quantile
-from crankorder.plot.painter import axes_at, head_of_test, house_style, new_figure, note, quiet_frame, write
-from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, drawable, shortened, text_width_in
+from crankorder.plot.drawing import Area, Drawing, Panel, Rings, Stroke, Words
+from crankorder.plot.labels import head_of_test
+from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, WHITE, drawable, shortened, text_width_in
 from crankorder.plot.reading import nominal_order, number_text, order_text
+from crankorder.plot.spectra_figure import column_boxes
 from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
 
-_LEFT, _BOTTOM, _TOP, _RIGHT, _GUTTER, _ROW_GAP = 1.15, 0.66, 1.28, 0.25, 0.72, 0.17  # inches
-_LEAST_ROW = 1.0  # a row of panels is never lower than this
+_LEFT, _RIGHT, _GUTTER = 1.15, 0.25, 0.72  # inches
+_NAME_AT = 0.62  # of the name of a channel from its panels, in inches
 _SPEEDS = 3  # columns that leave a waveform of forty turns legible
 _MOST_SPREAD = 3.0  # mean and spread wider than this, in half ranges of the mean: the spread is a number only
 _TIGHT = 0.5  # room beside the mean on an axis without the spread, in half ranges of the mean
@@ -35,45 +34,42 @@ _MARKS = {"tdc": "TDC", "index": "index mark", "pulse": "pulse"}
 _FROM = {"tdc": "from top dead centre", "index": "from the index mark", "pulse": "from the pulse"}
 
 
-def cycle_figure(cycles: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Figure:
+def cycle_figure(cycles: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Mean cycle of every channel (rows) at the slowest, the middle and the fastest speed (columns), with its spread.
 
     Every panel has its own scale, for forces grow with the square of speed; it follows the mean, and a spread that
     would make a line of it is given as a number only. Dead centres are marked. ``cycles`` a CycleAverage; ``findings``
     of the same test; ``settings`` of the report.
     """
-    with house_style():
-        cycles = cycles.sortby("speed")
-        held = np.flatnonzero(cycles["n_cycles"].transpose("channel", "speed").values.max(axis=0, initial=0))
-        shown = [int(row) for row in (held if len(held) <= _SPEEDS else held[[0, len(held) // 2, -1]])]
-        rows, columns = cycles.sizes["channel"], max(len(shown), 1)
-        height = max((settings.height_in - _BOTTOM - _TOP - (rows - 1) * _ROW_GAP) / rows, _LEAST_ROW)
-        figure = new_figure(settings.width_in, _TOP + _BOTTOM + rows * height + (rows - 1) * _ROW_GAP)
-        width = (settings.width_in - _LEFT - _RIGHT - (columns - 1) * _GUTTER) / columns
-        for column in range(columns):
-            left = _LEFT + column * (width + _GUTTER)
-            for row in range(rows):
-                bottom = _BOTTOM + (rows - 1 - row) * (height + _ROW_GAP)
-                axes = axes_at(figure, left, bottom, width, height)
-                _angle_axis(axes, cycles, last=row == rows - 1)
-                if shown:
-                    _draw(axes, cycles.isel(channel=row, speed=shown[column]), LINES[column], height)
-                else:
-                    note(axes, "no whole cycle")
-                if column == 0:
-                    _name_row(figure, cycles.isel(channel=row), bottom + height / 2, height, settings)
-            top = _BOTTOM + rows * height + (rows - 1) * _ROW_GAP
-            _mark_names(figure, cycles, left, top, width)
-            if shown:
-                cycle = cycles.isel(speed=shown[column])
-                write(figure, left, top + 0.24, _heading(cycle), fontsize=NORMAL + 1, fontweight="bold",
-                      color=LINES[column])  # fmt: skip
-        reference = str(cycles.attrs.get("phase_reference", "none"))
-        label = f"Crank angle {_FROM.get(reference, 'from where the recording begins')}, °"
-        write(figure, _LEFT + (settings.width_in - _LEFT - _RIGHT) / 2, 0.2, label, ha="center")
-        subtitle = _subtitle(cycles, len(shown))
-        head_of_test(figure, _LEFT, findings, "average cycle", subtitle, longest=settings.max_name_characters)
-        return figure
+    cycles = cycles.sortby("speed")
+    held = np.flatnonzero(cycles["n_cycles"].transpose("channel", "speed").values.max(axis=0, initial=0))
+    shown = held if len(held) <= _SPEEDS else held[[0, len(held) // 2, -1]]
+    columns = max(len(shown), 1)
+    width = (settings.width_in - _LEFT - _RIGHT - (columns - 1) * _GUTTER) / columns
+    lefts = [_LEFT + column * (width + _GUTTER) for column in range(columns)]
+    drawing, boxes = column_boxes(cycles.sizes["channel"], width, settings, lefts=lefts)
+    for column, left in enumerate(lefts):
+        at_speed, color = cycles.isel(speed=int(shown[column]) if len(shown) else 0), LINES[column]
+        for row, box in enumerate(boxes[column]):
+            cycle, label = at_speed.isel(channel=row), ""
+            if column == 0:
+                name = shortened(drawable(cycle["channel"].item(), settings.max_name_characters), NORMAL, box[3])
+                unit = shortened(drawable(unit_text(str(cycle["unit"].item())), 24), NORMAL, box[3])
+                label = f"{name}\n{unit}"
+            _draw_cycle(
+                Panel(drawing, box, *_axis_ends(cycle)), cycle, color, label, last=row == len(boxes[column]) - 1
+            )
+        top = boxes[column][0][1] + boxes[column][0][3]
+        _name_marks(drawing, cycles, left, top, width)
+        if len(shown):
+            drawing.add(Words(left, top + 0.24, _heading(at_speed), NORMAL + 1, color, bold=True))
+    reference = str(cycles.attrs.get("phase_reference", "none"))
+    label = f"Crank angle {_FROM.get(reference, 'from where the recording begins')}, °"
+    middle = _LEFT + (settings.width_in - _LEFT - _RIGHT) / 2
+    drawing.add(Words(middle, 0.2, label, along="centre"))
+    subtitle = _subtitle(cycles, len(shown))
+    head_of_test(drawing, _LEFT, findings, "average cycle", subtitle, longest=settings.max_name_characters)
+    return drawing
 
 
 def _subtitle(cycles: xr.Dataset, shown: int) -> str:
@@ -95,86 +91,74 @@ def _heading(cycle: xr.Dataset) -> str:
     return f"{f'{speed:.0f} rpm' if math.isfinite(speed) else 'unknown speed'} · {cycles}"
 
 
-def _angle_axis(axes: Axes, cycles: xr.Dataset, *, last: bool) -> None:
-    """Angles of one cycle, with a line at every revolution."""
-    revs = int(cycles.attrs["revs_per_cycle"])
-    quiet_frame(axes)
-    axes.set_xlim(0, 360 * revs)
-    step = 180 if revs > 1 else 90
-    axes.xaxis.set_major_locator(FixedLocator(list(range(0, 360 * revs + 1, step * max(1, revs // 2)))))
-    axes.tick_params(labelbottom=last)
-    for turn in range(revs + 1):
-        axes.axvline(360 * turn, color=FAINT, linewidth=0.9, gid="mark", zorder=0.9)
-
-
-def _mark_names(figure: Figure, cycles: xr.Dataset, left: float, top: float, width: float) -> None:
-    """Names of the dead centres above a column."""
+def _name_marks(drawing: Drawing, cycles: xr.Dataset, left: float, top: float, width: float) -> None:
+    """Write the names of the dead centres above a column."""
     revs = int(cycles.attrs["revs_per_cycle"])
     reference = str(cycles.attrs.get("phase_reference", "none"))
-    if reference not in _MARKS:
-        return
-    plain = _MARKS[reference]
-    first = f"firing {plain}" if reference == "tdc" and revs > 1 and int(cycles.attrs["cycle_known"]) else plain
-    for turn in range(revs + 1):
+    plain = _MARKS.get(reference, "")
+    fires = reference == "tdc" and revs > 1 and int(cycles.attrs["cycle_known"])
+    for turn in range(revs + 1) if plain else ():
+        name = f"firing {plain}" if fires and turn in (0, revs) else plain
         place = left + width * turn / revs
-        align = "left" if turn == 0 else "right" if turn == revs else "center"
-        name = first if turn in (0, revs) else plain
-        write(figure, place, top + 0.06, name, ha=align, fontsize=SMALL, color=FAINT)
+        along: Literal["left", "centre", "right"] = "left" if turn == 0 else "right" if turn == revs else "centre"
+        drawing.add(Words(place, top + 0.06, name, SMALL, FAINT, along=along))
 
 
-def _name_row(figure: Figure, channel: xr.Dataset, middle: float, height: float, settings: ReportSettings) -> None:
-    """Name and unit of a channel, upright at the left of its row."""
-    name = shortened(drawable(str(channel["channel"].item()), settings.max_name_characters), NORMAL + 1, height)
-    unit = shortened(drawable(unit_text(str(channel["unit"].item())), 24), NORMAL, height)
-    for place, text, look in ((0.34, name, {"fontweight": "bold"}), (0.54, unit, {"color": INK})):
-        write(figure, place, middle, text, rotation=90, ha="center", va="center", **look)
+def _spread(cycle: xr.Dataset) -> tuple[Floats, Floats, Floats, bool]:
+    """Mean, standard deviation and standard error of one cycle, closed at its end; whether the deviation is drawn."""
+    mean, deviation, error = (
+        np.append(cycle[name].values, cycle[name].values[0])
+        for name in ("mean", "standard_deviation", "standard_error")
+    )
+    known = np.nan_to_num(deviation)
+    fits = float((mean + known).max() - (mean - known).min()) <= 2.0 * _MOST_SPREAD * _half_range(mean)
+    return mean, deviation, error, fits
 
 
-def _draw(axes: Axes, cycle: xr.Dataset, color: str, height_in: float) -> None:
-    """Mean and spread of one channel at one speed; the cycle is closed at its end."""
-    angle = np.append(cycle.cycle_angle.values, 360.0 * int(cycle.attrs["revs_per_cycle"]))
-    mean = _closed(cycle["mean"].values)
+def _half_range(mean: Floats) -> float:
+    return max(0.5 * float(np.ptp(mean)), _FLAT * float(np.abs(mean).max()), 1e-300)
+
+
+def _axis_ends(cycle: xr.Dataset) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Ends of the axes of one cycle: its angles [degree], and its mean with the spread where that is drawn."""
+    angles = 0.0, 360.0 * int(cycle.attrs["revs_per_cycle"])
+    mean, deviation, _, fits = _spread(cycle)
     if not np.isfinite(mean).all():
-        axes.set_yticks([])
-        note(axes, "no whole cycle")
+        return angles, (0.0, 1.0)
+    half = _half_range(mean)
+    reach = np.nan_to_num(deviation) if fits else _TIGHT * half
+    low, high = float((mean - reach).min()), float((mean + reach).max())
+    margin = 0.05 * max(high - low, half)
+    return angles, (low - margin, high + margin)
+
+
+def _draw_cycle(panel: Panel, cycle: xr.Dataset, color: str, label: str, *, last: bool) -> None:
+    """Mean and spread of one channel at one speed over the angles of a cycle, with a line at every revolution."""
+    mean, deviation, error, fits = _spread(cycle)
+    measured, revs = bool(np.isfinite(mean).all()), int(cycle.attrs["revs_per_cycle"])
+    step = (180 if revs > 1 else 90) * max(1, revs // 2)
+    panel.x_axis(places=np.arange(0.0, 360.0 * revs + 1, step), named=last)
+    ticks = int(np.clip(3.0 * panel.box[3], 4, 8))
+    panel.y_axis(label, most=ticks, places=None if measured else [], at_in=_NAME_AT)
+    panel.frame()
+    for turn in range(revs + 1):
+        panel.upright(360.0 * turn, color=FAINT, width=0.9, name="mark")
+    if not measured:
+        panel.note("no whole cycle")
         return
-    deviation, error = (_closed(cycle[name].values) for name in ("standard_deviation", "standard_error"))
-    fits = _value_axis(axes, mean, np.nan_to_num(deviation), height_in)
+    angle = np.append(cycle.cycle_angle.values, 360.0 * revs)
     interval = error * t_quantile(np.array(max(int(cycle.n_cycles) - 1, 1)))
-    for reach, alpha, gid in ((deviation, 0.16, "deviation"), (interval, 0.38, "interval")):
-        if np.isfinite(reach).all() and (fits or gid != "deviation"):
-            axes.fill_between(angle, mean - reach, mean + reach, color=color, alpha=alpha, linewidth=0, gid=gid)
-    axes.plot(angle, mean, color=color, linewidth=1.1, gid="mean")
-    usual = float(np.sqrt(np.mean((deviation / _size(deviation)) ** 2))) * _size(deviation)
-    if math.isfinite(usual):
-        ground = {"facecolor": "white", "edgecolor": "none", "pad": 1.2, "alpha": 0.85}
-        text, look = f"± {number_text(usual, digits=2)}", {"ha": "right", "va": "top"}
-        note(axes, text, (0.995, 0.97), fontsize=SMALL, color=INK, bbox=ground, **look)
-
-
-def _value_axis(axes: Axes, mean: Floats, deviation: Floats, height_in: float) -> bool:
-    """Whether the spread fits on the axis beside the mean, whose limits are set; else it is not drawn."""
-    least, most = float(mean.min()), float(mean.max())
-    half = max(0.5 * (most - least), _FLAT * max(abs(least), abs(most)), 1e-300)
-    low, high = float((mean - deviation).min()), float((mean + deviation).max())
-    fits = high - low <= 2.0 * _MOST_SPREAD * half
-    if not fits:
-        low, high = least - _TIGHT * half, most + _TIGHT * half
-    margin = max(0.05 * (high - low), half * 0.05)
-    axes.set_ylim(low - margin, high + margin)
-    axes.yaxis.set_major_locator(MaxNLocator(int(np.clip(2.2 * height_in, 2, 6))))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}".replace("-", "−")))
-    return fits
-
-
-def _size(values: Floats) -> float:
-    """Largest of ``values``, 1 where all are 0: what to divide by before squaring."""
-    largest = float(values.max())
-    return largest if largest > 0.0 else 1.0
-
-
-def _closed(values: Floats) -> Floats:
-    return np.append(values, values[0])
+    for reach, alpha, name in ((deviation, 0.16, "deviation"), (interval, 0.38, "interval")):
+        if np.isfinite(reach).all() and (fits or name == "interval"):
+            panel.band(angle, mean - reach, mean + reach, color=color, alpha=alpha, name=name)
+    panel.curve(angle, mean, color=color, width=1.1, name="mean")
+    size = float(deviation.max()) or 1.0  # 1e-300 squared is nothing
+    if math.isfinite(size):
+        text = f"± {number_text(size * float(np.sqrt(np.mean((deviation / size) ** 2))), digits=2)}"
+        right, top = panel.box[0] + panel.box[2] - 0.02, panel.box[1] + panel.box[3] - 0.1
+        ground = np.array([[right - text_width_in(text, SMALL), top], [right, top]])
+        panel.drawing.add(Stroke(ground, WHITE, 11.0, alpha=0.85))
+        panel.drawing.add(Words(right, top, text, SMALL, along="right", across="centre"))
 
 
 _NAMES_IN, _HEAD_IN, _FOOT_IN, _EDGE_IN, _HEADER = 1.3, 0.98, 0.42, 0.2, 0.44  # inches
@@ -182,7 +166,6 @@ _CHANNELS = 12  # side by side; more are continued below
 _ORDERS = 8  # rows, the strongest
 _WIDE = 1.75  # a cell from this width on has its numbers beside the phasor, with their intervals
 _ROW_WIDE, _ROW_NARROW = 0.82, 0.98
-_NAME_SIZE, _BOLD = 9.0, 1.13  # text_width_in measures the regular weight
 _RADIUS_WIDE, _RADIUS_NARROW = 0.33, 0.29
 _NO_PHASE = 90.0  # half an interval of phase from which a direction says nothing
 _SHORT = {"tdc": "TDC", "index": "index", "pulse": "pulse"}
@@ -204,51 +187,51 @@ class _Cell:
         return self.amplitude > 0.0 and not self.low <= 0.0 and not self.half_phase_deg >= _NO_PHASE
 
 
-def shapes_figure(shapes: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Figure:
+def shapes_figure(shapes: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Phasors of all channels (columns) at the strongest orders (rows), with amplitude, phase and 95 % intervals.
 
     They are those of the speed with the largest amplitude of all. A hand's length is the amplitude beside the largest
     of its row in the same unit, its direction the phase, 0° to the right and growing anticlockwise; the pale field is
     the 95 % interval. ``shapes`` an OperatingShapes; ``findings`` of the same test; ``settings`` of the report.
     """
-    with house_style():
-        at_speed = shapes.isel(speed=_loudest_speed(shapes))
-        amplitude = np.nan_to_num(at_speed.amplitude.transpose("channel", "order").values)
-        low = at_speed.amplitude_ci95.transpose("channel", "order", "bound").values[..., 0]
-        swing = np.ptp(at_speed.phase_ci95.transpose("channel", "order", "bound").values, axis=-1)
-        clear = np.where((low <= 0.0) | (swing >= 2.0 * _NO_PHASE), 0.0, amplitude)
-        largest = clear.max(axis=1, initial=0.0)
-        share = (clear / np.where(largest > 0.0, largest, 1.0)[:, None]).max(axis=0, initial=0.0)
-        kept = [int(place) for place in np.argsort(-share, kind="stable") if share[place] > 0.0][:_ORDERS]
-        orders = sorted(kept, key=lambda place: float(at_speed.order.values[place]))
-        channels = range(at_speed.sizes["channel"])
-        blocks = [channels[first : first + _CHANNELS] for first in range(0, len(channels), _CHANNELS)]
-        cell_width = min((settings.width_in - _NAMES_IN - _EDGE_IN) / min(max(len(channels), 1), _CHANNELS), 3.3)
-        height = _ROW_WIDE if cell_width >= _WIDE else _ROW_NARROW
-        block_height = _HEADER + max(len(orders), 1) * height
-        figure = new_figure(settings.width_in, _HEAD_IN + _FOOT_IN + len(blocks) * block_height)
-        width, full = figure.get_size_inches()
-        canvas = axes_at(figure, 0, 0, width, full)
-        canvas.set(xlim=(0, width), ylim=(0, full))
-        canvas.axis("off")
-        mixed = len(set(at_speed.phase_from.values)) > 1
-        for number, block in enumerate(blocks):
-            top = full - _HEAD_IN - number * block_height
-            lefts = [_NAMES_IN + column * cell_width for column in range(len(block))]
+    at_speed = shapes.isel(speed=_loudest_speed(shapes))
+    orders, channels = _strongest_orders(at_speed), range(at_speed.sizes["channel"])
+    blocks = [channels[first : first + _CHANNELS] for first in range(0, len(channels), _CHANNELS)]
+    cell_width = min((settings.width_in - _NAMES_IN - _EDGE_IN) / min(max(len(channels), 1), _CHANNELS), 3.3)
+    height = _ROW_WIDE if cell_width >= _WIDE else _ROW_NARROW
+    block_height = _HEADER + max(len(orders), 1) * height
+    drawing = Drawing(settings.width_in, _HEAD_IN + _FOOT_IN + len(blocks) * block_height)
+    mixed = len(set(at_speed.phase_from.values)) > 1
+    for number, block in enumerate(blocks):
+        top = drawing.height_in - _HEAD_IN - number * block_height
+        lefts = [_NAMES_IN + column * cell_width for column in range(len(block))]
+        for left, channel in zip(lefts, block, strict=True):
+            _name_column(drawing, at_speed.isel(channel=channel), left, top, cell_width, settings)
+        for row, order in enumerate(orders):
+            middle, of_order = top - _HEADER - (row + 0.5) * height, at_speed.isel(order=order)
+            edge = middle + height / 2
+            drawing.add(Stroke(np.array([[0.25, edge], [_NAMES_IN + len(block) * cell_width, edge]]), GRID, 0.8))
+            _name_order(drawing, of_order, middle, mixed=mixed)
             for left, channel in zip(lefts, block, strict=True):
-                _name_column(figure, at_speed.isel(channel=channel), left, top, cell_width, settings)
-            for row, order in enumerate(orders):
-                middle, of_order = top - _HEADER - (row + 0.5) * height, at_speed.isel(order=order)
-                ends = [0.25, _NAMES_IN + len(block) * cell_width]
-                canvas.plot(ends, [middle + height / 2] * 2, color=GRID, linewidth=0.8)
-                _name_order(figure, of_order, middle, mixed=mixed)
-                for left, channel in zip(lefts, block, strict=True):
-                    longest, place = _longest(of_order, str(at_speed.unit.values[channel])), (left, middle, cell_width)
-                    _draw_cell(figure, canvas, _cell(of_order.isel(channel=channel)), longest, place)
-        what = "operating shapes" + (f" at {at_speed.speed:.0f} rpm" if math.isfinite(at_speed.speed) else "")
-        subtitle = _shapes_subtitle(shapes, len(orders))
-        head_of_test(figure, 0.25, findings, what, subtitle, longest=settings.max_name_characters)
-        return figure
+                alike = of_order.amplitude.values[of_order.unit.values == of_order.unit.values[channel]]
+                longest = float(np.nan_to_num(alike).max(initial=0.0))
+                _draw_cell(drawing, _cell(of_order.isel(channel=channel)), longest, (left, middle, cell_width))
+    what = "operating shapes" + (f" at {at_speed.speed:.0f} rpm" if math.isfinite(at_speed.speed) else "")
+    subtitle = _shapes_subtitle(shapes, len(orders))
+    head_of_test(drawing, 0.25, findings, what, subtitle, longest=settings.max_name_characters)
+    return drawing
+
+
+def _strongest_orders(at_speed: xr.Dataset) -> list[int]:
+    """Numbers of the orders that stand clear, the largest relative to their channel, in ascending order."""
+    amplitude = np.nan_to_num(at_speed.amplitude.transpose("channel", "order").values)
+    low = at_speed.amplitude_ci95.transpose("channel", "order", "bound").values[..., 0]
+    swing = np.ptp(at_speed.phase_ci95.transpose("channel", "order", "bound").values, axis=-1)
+    clear = np.where((low <= 0.0) | (swing >= 2.0 * _NO_PHASE), 0.0, amplitude)
+    largest = clear.max(axis=1, initial=0.0)
+    share = (clear / np.where(largest > 0.0, largest, 1.0)[:, None]).max(axis=0, initial=0.0)
+    kept = [int(place) for place in np.argsort(-share, kind="stable") if share[place] > 0.0][:_ORDERS]
+    return sorted(kept, key=lambda place: float(at_speed.order.values[place]))
 
 
 def _loudest_speed(shapes: xr.Dataset) -> int:
@@ -271,7 +254,7 @@ def _shapes_subtitle(shapes: xr.Dataset, shown: int) -> str:
 
 
 def _name_column(
-    figure: Figure, channel: xr.Dataset, left: float, top: float, width: float, settings: ReportSettings
+    drawing: Drawing, channel: xr.Dataset, left: float, top: float, width: float, settings: ReportSettings
 ) -> None:
     name = drawable(str(channel["channel"].item()), settings.max_name_characters)
     direction = str(channel["direction"].item()) if "direction" in channel.coords else ""
@@ -280,81 +263,77 @@ def _name_column(
     about = f"{drawable(direction, 12)} · {unit}" if direction and direction.strip("+") != name else unit
     middle, lines = left + width / 2, _two_lines(name, width - 0.08)
     for above, text in zip((0.14, 0.0)[-len(lines) :], lines, strict=True):
-        write(figure, middle, top - 0.15 + above, text, fontsize=_NAME_SIZE, fontweight="bold", ha="center")
-    write(figure, middle, top - 0.32, shortened(about, SMALL, width - 0.06), fontsize=SMALL, color=FAINT, ha="center")
+        drawing.add(Words(middle, top - 0.15 + above, text, bold=True, along="centre"))
+    drawing.add(Words(middle, top - 0.32, shortened(about, SMALL, width - 0.06), SMALL, FAINT, along="centre"))
 
 
 def _two_lines(name: str, width_in: float) -> list[str]:
     """``name`` in one line, or in two where it is wider than ``width_in``; what must go, goes from its middle."""
-    size = _NAME_SIZE * _BOLD
-    if text_width_in(name, size) <= width_in:
+
+    def fits(text: str) -> bool:
+        return text_width_in(text, NORMAL, bold=True) <= width_in
+
+    if fits(name):
         return [name]
     breaks = [place for place, char in enumerate(name) if char in " _-./" and 0 < place < len(name) - 1]
-    fitting = [place for place in breaks if text_width_in(name[: place + 1].strip(), size) <= width_in]
-    first = fitting[-1] + 1 if fitting else len(shortened(name, size, width_in)) - 1
+    fitting = [place for place in breaks if fits(name[: place + 1].strip())]
+    first = fitting[-1] + 1 if fitting else len(shortened(name, NORMAL, width_in, bold=True)) - 1
     tail = name[first:].strip()
-    while len(tail) > 2 and text_width_in(tail, size) > width_in:
+    while len(tail) > 2 and not fits(tail):
         tail = "…" + tail.lstrip("…")[max(1, len(tail) // 12) :]
     return [name[:first].strip(), tail]
 
 
-def _name_order(figure: Figure, order: xr.Dataset, middle: float, *, mixed: bool) -> None:
+def _name_order(drawing: Drawing, order: xr.Dataset, middle: float, *, mixed: bool) -> None:
     """Order of a row and, where rows differ in that, what its phases are from."""
-    write(figure, 0.25, middle + 0.03, f"order {order_text(nominal_order(order.order))}", fontweight="bold")
+    drawing.add(Words(0.25, middle + 0.03, f"order {order_text(nominal_order(order.order))}", bold=True))
     origin = str(order.phase_from.item())
     if mixed:
         text = shortened(f"from {_SHORT.get(origin, drawable(origin, 24))}", SMALL, _NAMES_IN - 0.3)
-        write(figure, 0.25, middle - 0.12, text, fontsize=SMALL, color=FAINT)
+        drawing.add(Words(0.25, middle - 0.12, text, SMALL, FAINT))
 
 
 def _cell(at_speed: xr.Dataset) -> _Cell:
     low, high = (float(value) for value in at_speed.amplitude_ci95.values)
     first, last = (float(value) for value in at_speed.phase_ci95.values)
-    return _Cell(at_speed.amplitude, low, high, at_speed.phase, 0.5 * (last - first))
+    return _Cell(float(at_speed.amplitude), low, high, float(at_speed.phase), 0.5 * (last - first))
 
 
-def _longest(order: xr.Dataset, unit: str) -> float:
-    """Largest amplitude at an order among the channels of a unit."""
-    alike = np.flatnonzero(order.unit.values == unit)
-    return float(np.nanmax(np.nan_to_num(order.amplitude.values[alike]), initial=0.0))
-
-
-def _draw_cell(figure: Figure, canvas: Axes, cell: _Cell, longest: float, place: tuple[float, float, float]) -> None:
+def _draw_cell(drawing: Drawing, cell: _Cell, longest: float, place: tuple[float, float, float]) -> None:
     """Phasor and numbers of one cell; ``place`` its left, the height of its middle, and its width, in inches."""
     left, middle, width = place
     wide = width >= _WIDE
     radius = _RADIUS_WIDE if wide else _RADIUS_NARROW
     x, y = (left + 0.1 + radius, middle) if wide else (left + width / 2, middle + 0.16)
-    color = LINES[0] if cell.clear else FAINT
-    canvas.add_patch(Circle((x, y), radius, facecolor="none", edgecolor=FAINT, linewidth=0.6, alpha=0.7))
-    canvas.plot([x, x + radius], [y, y], color=GRID, linewidth=0.8, zorder=0.9)
+    drawing.add(Rings(np.array([[x, y]]), 72 * radius, FAINT, width=0.6, alpha=0.7))
+    drawing.add(Stroke(np.array([[x, y], [x + radius, y]]), GRID, 0.8))
     if math.isfinite(cell.amplitude) and longest > 0.0:
-        _draw_hand(canvas, cell, (x, y), radius / longest, radius, color)
+        _draw_hand(drawing, cell, np.array([x, y]), radius / longest, radius)
     ink = INK if cell.clear else FAINT
     for text, up, below in zip(_numbers(cell, with_intervals=wide), (0.035, -0.13), (0.14, 0.27), strict=True):
         if wide:
-            write(figure, x + radius + 0.1, y + up, text, fontsize=NORMAL, color=ink)
+            drawing.add(Words(x + radius + 0.1, y + up, text, NORMAL, ink))
         else:
             text = shortened(text, SMALL, width - 0.02)
-            write(figure, x, y - radius - below, text, ha="center", fontsize=SMALL, color=ink)
+            drawing.add(Words(x, y - radius - below, text, SMALL, ink, along="centre"))
 
 
-def _draw_hand(canvas: Axes, cell: _Cell, centre: tuple[float, float], scale: float, radius: float, color: str) -> None:
+def _draw_hand(drawing: Drawing, cell: _Cell, centre: Floats, scale: float, radius: float) -> None:
     """Hand of a phasor from ``centre``, ``scale`` inches per unit, and its interval within ``radius``."""
-    x, y = centre
+    color = LINES[0] if cell.clear else FAINT
+
+    def arc(length: float, degrees: Floats) -> Floats:
+        turn = np.radians(degrees)
+        return np.asarray(centre + length * np.column_stack([np.cos(turn), np.sin(turn)]))
+
     if math.isfinite(cell.half_phase_deg) and math.isfinite(cell.high):
-        outer = min(cell.high * scale, 1.12 * radius)
-        half = min(max(cell.half_phase_deg, 0.5), 179.9)
-        wedge = Wedge(
-            centre, outer, cell.phase_deg - half, cell.phase_deg + half, width=max(outer - cell.low * scale, 0.01)
-        )
-        wedge.set(facecolor=color, alpha=0.25, linewidth=0)
-        canvas.add_patch(wedge)
-    turn = math.radians(cell.phase_deg)
-    length = cell.amplitude * scale
-    end = (x + length * math.cos(turn), y + length * math.sin(turn))
-    canvas.plot([x, end[0]], [y, end[1]], color=color, linewidth=1.8, solid_capstyle="round", gid="hand")
-    canvas.plot([end[0]], [end[1]], marker="o", markersize=3.2, color=color)
+        half, outer = min(max(cell.half_phase_deg, 0.5), 179.9), min(cell.high * scale, 1.12 * radius)
+        angles = cell.phase_deg + np.linspace(-half, half, 60)
+        inner = min(max(cell.low * scale, 0.0), outer - 0.01)
+        drawing.add(Area(np.concatenate([arc(outer, angles), arc(inner, angles[::-1])]), color, 0.25))
+    end = arc(cell.amplitude * scale, np.array([cell.phase_deg]))
+    drawing.add(Stroke(np.concatenate([centre[None], end]), color, 1.8, name="hand"))
+    drawing.add(Rings(end, 1.6, color))
 
 
 def _numbers(cell: _Cell, *, with_intervals: bool) -> tuple[str, str]:

@@ -7,11 +7,11 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
 from types import MappingProxyType
-from typing import TypedDict
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -137,25 +137,12 @@ def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
 
 
-class FailedRecording(TypedDict):
-    """A recording that failed, and why."""
+def index_page(tests: Sequence[Mapping[str, Any]]) -> str:
+    """HTML list of all tests of a run, each with its status, headline and link, and the recordings that failed.
 
-    recording: str
-    error: str
-
-
-class IndexedTest(TypedDict, total=False):
-    """A test of a run: ``headline`` of sentences, ``link`` to its report relative to the index, what ``failed``."""
-
-    name: str
-    status: str
-    headline: list[str] | str | None
-    link: str | None
-    failed: list[FailedRecording] | None
-
-
-def index_page(tests: Sequence[IndexedTest]) -> str:
-    """HTML list of all ``tests`` of a run, each with its status, headline and link, and the recordings that failed."""
+    ``tests``: of each ``name``, ``status``, ``headline`` (sentences), ``link`` to its report relative to the index, and
+    ``failed`` (``recording`` and ``error`` of each); what is missing is left out.
+    """
     text = partial(named, limit=_ERROR_CHARACTERS)
     rows = []
     for test in tests:
@@ -206,16 +193,6 @@ def _digest(text: str) -> str:
     return f"'sha256-{_base64(hashlib.sha256(text.encode('utf-8')).digest())}'"
 
 
-@dataclass(frozen=True)
-class LiveChannel:
-    """A channel: its name, unit, the reference of its level in that unit, and what the level is called."""
-
-    name: str
-    unit: str
-    reference: float
-    level: str
-
-
 Record = dict[str, object]
 """A map, the tracks, or a thing that the findings name, as the script of the page reads it."""
 
@@ -232,36 +209,39 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
         return ""
     names, units = (first[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit"))
     names = [named(name, limit=settings.max_name_characters) for name in names]
-    levels = (channel_level(first, number, settings=settings) for number in range(len(names)))
-    channels = [LiveChannel(n, unit_text(unit), *level) for n, unit, level in zip(names, units, levels, strict=True)]
-    maps = [_map(name, groups[name], channels, settings) for name in _TITLES if name in groups]
-    tracks = _tracks(groups.get("order_tracks"), len(channels), limit=settings.max_labelled_orders)
+    levels = [channel_level(first, number, settings=settings) for number in range(len(names))]
+    references = [reference for reference, _ in levels]
+    maps = [_map(name, groups[name], references, settings) for name in _TITLES if name in groups]
+    tracks = _tracks(groups.get("order_tracks"), len(names), limit=settings.max_labelled_orders)
     if not any(maps) and tracks is None:
         return ""
     document = {
         "hint": HINT, "freeText": "Free of resonances at this speed.", "unasked": bool(findings.not_asked_for),
         "colours": _base64(level_colours().tobytes()),
-        "channels": [asdict(channel) for channel in channels],
+        "channels": [
+            {"name": name, "unit": unit_text(unit), "reference": reference, "level": text}
+            for name, unit, (reference, text) in zip(names, units, levels, strict=True)
+        ],
         "maps": [*filter(None, maps)],
         "tracks": tracks,
         "guides": [{"order": order, "text": order_text(order)} for order in _GUIDES],
-        **_statements(findings, [str(name) for name in first["channel"].values[: len(channels)]], settings),
+        **_statements(findings, [str(name) for name in first["channel"].values[: len(names)]], settings),
     }  # fmt: skip
     text = json.dumps(document, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: ReportSettings) -> Record | None:
+def _map(name: str, dataset: xr.Dataset, references: list[float], settings: ReportSettings) -> Record | None:
     """A map: ``rows`` of speed [rpm], slowest first, with the ends of their cells; ``nx`` columns.
 
     The columns begin at ``x0`` and are ``dx`` apart; each is the largest of ``pooled``. ``cells`` per channel: base64
     of codes (rows, columns), 16 bits each; ``largest`` its largest amplitude, which has the code 60000, each 0.005 dB
-    below one less; ``limits`` of the colours [dB].
+    below one less; ``limits`` of the colours [dB] over the ``references``.
     """
     kind, title, label, axis = _TITLES[name]
     x = np.asarray(dataset[axis].values, dtype=float)
     speed = np.asarray(dataset["speed"].values, dtype=float)
-    amplitude = dataset["amplitude"].transpose("channel", "speed", axis).values[: len(channels)]
+    amplitude = dataset["amplitude"].transpose("channel", "speed", axis).values[: len(references)]
     kept = np.flatnonzero(np.isfinite(speed) & np.isfinite(amplitude).any(axis=(0, 2)))
     kept = kept[np.argsort(speed[kept], kind="stable")]
     even = len(x) > 1 and np.allclose(np.diff(x), x[1] - x[0], rtol=1e-6)
@@ -269,20 +249,20 @@ def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: 
         return None
     # columns pooled into one, and channels shown, so that the page holds no more cells than it may
     cells, most = len(kept) * len(x), _MAP_CELLS[name]
-    pool = min(max(1, math.ceil(len(channels) * cells / most)), max(1, len(x) // _FEWEST_COLUMNS))
-    shown = min(len(channels), int(most / (cells / pool)))
+    pool = min(max(1, math.ceil(len(references) * cells / most)), max(1, len(x) // _FEWEST_COLUMNS))
+    shown = min(len(references), int(most / (cells / pool)))
     if not shown:
         return None
     columns = -(-len(x) // pool)
     largest, limits, codes = [], [], []
-    for values, channel in zip(amplitude[:shown, kept], channels, strict=False):
+    for values, reference in zip(amplitude[:shown, kept], references, strict=False):
         values = np.nan_to_num(values.astype(np.float64), posinf=0.0)
         if pool > 1:
             padded = np.pad(values, ((0, 0), (0, columns * pool - len(x))))
             values = padded.reshape(len(kept), columns, pool).max(axis=2)
         top = float(values.max())
         largest.append(top)
-        limits.append(level_limits(values, channel.reference, range_db=settings.dynamic_range_db))
+        limits.append(level_limits(values, reference, range_db=settings.dynamic_range_db))
         codes.append(_base64(_codes(values, top).tobytes()))
     step = float(x[-1] - x[0]) / (len(x) - 1)
     ends = speed_cells(speed[kept])

@@ -13,10 +13,8 @@ import xarray as xr
 from crankorder.findings import Findings
 from crankorder.plot.campbell_figure import campbell_figure
 from crankorder.plot.drawing import Drawing, Words
-from crankorder.plot.envelope_figure import envelope_figure
-from crankorder.plot.orders_figure import orders_figure
-from crankorder.plot.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
-from crankorder.plot.speed_figure import shown_recordings, speed_figure
+from crankorder.plot.orders_figure import orders_figure, shown_recordings, speed_figure
+from crankorder.plot.spectra_figure import envelope_figure, order_spectra_figure, spectra_figure, spectrum_figure
 from crankorder.report.sentences.of_lines import strongest_sentence
 from crankorder.settings import ReportSettings
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from typing import TypedDict, cast
+from dataclasses import dataclass
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import AvoidedSpeed, EnergyShares, Findings, FreeBand, ModeFinding, OpenBand, Quality
 from crankorder.plot.reading import (
-    Numbered,
     estimate_text,
     fixed_tones,
     frequency_text,
@@ -25,6 +23,7 @@ from crankorder.plot.reading import (
     order_text,
     order_texts,
     percent_text,
+    reason_text,
     speeds_text,
     strongest_by,
     unit_of,
@@ -58,35 +57,24 @@ PARTS = (
 _ABOVE = ("above_band", "Above the band, of all recorded")  # no part of the band
 _SHOWN = 40  # rows of a table that a page shows at once …
 _FOLDED = 400  # … and that it holds folded away; the files hold all
-_NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_TOO_LITTLE = ("only", "fewer", "less than", "at least", "shorter", "below", "too few")
 
 
-class Column(TypedDict):
-    """Head of a column and whether it holds numbers."""
+@dataclass
+class Table:
+    """One table of the page; ``more`` is folded away under it, ``beside`` stands open under it, ``bars`` above it.
 
-    title: str
-    number: bool
-
-
-class Bar(TypedDict):
-    """Stacked bar of length 100: its ``name`` and its parts with their ``kind``, ``start`` and ``width``."""
-
-    name: str
-    parts: list[dict[str, str]]
-
-
-class Table(TypedDict):
-    """One table of the page; ``more`` is folded away under it, ``beside`` stands open under it, ``bars`` above it."""
+    ``columns``: of each its ``title`` and whether it holds a ``number``. ``bars``: stacked ones of length 100, with
+    ``name`` and ``parts``, each with its ``kind``, ``start`` and ``width``.
+    """
 
     title: str
-    note: str
-    empty: str
-    columns: list[Column]
+    columns: list[dict[str, object]]
     rows: list[list[str]]
-    more: Table | None
-    beside: Table | None
-    bars: list[Bar]
+    empty: str = ""
+    note: str = ""
+    more: Table | None = None
+    beside: Table | None = None
+    bars: Sequence[dict[str, object]] = ()
 
 
 def table_of(
@@ -97,12 +85,12 @@ def table_of(
     ``rows`` of text, of which a page holds the first 400; ``empty`` stands in their place where there are none;
     ``note`` stands above; ``more`` is folded away.
     """
-    columns = [Column(title=head.removesuffix("#"), number=head.endswith("#")) for head in heads.split("|")]
+    columns: list[dict[str, object]] = [
+        {"title": head.removesuffix("#"), "number": head.endswith("#")} for head in heads.split("|")
+    ]
     if len(rows) > _FOLDED:
         note = f"{note} The first {_FOLDED} of {len(rows)}; findings.json holds all.".strip()
-    return Table(
-        title=title, note=note, empty=empty, columns=columns, rows=rows[:_FOLDED], more=more, beside=None, bars=[]
-    )
+    return Table(title, columns, rows[:_FOLDED], empty, note, more)
 
 
 def _folded(title: str, heads: str, rows: list[list[str]], *, empty: str, note: str) -> Table:
@@ -123,7 +111,7 @@ def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
     if findings.not_asked_for:
         return [("quality", _quality(findings, limit))]
     tables = {anchor: table(findings, limit) for anchor, table in _TABLES.items()}
-    return [(anchor, table) for anchor, table in tables.items() if table["rows"] or table["empty"]]
+    return [(anchor, table) for anchor, table in tables.items() if table.rows or table.empty]
 
 
 def _avoid(findings: Findings, limit: int) -> Table:
@@ -155,7 +143,7 @@ def _avoid(findings: Findings, limit: int) -> Table:
     note = "Peak and amplification of the first order alone; by fit: what the modal fit says of a held speed."
     note = f"{note} The worst first: by that peak, of several units by its share of the largest order." if rows else ""
     table = table_of("Speeds to avoid", heads, rows, note=note, empty=empty)
-    table["beside"] = beside if other else None
+    table.beside = beside if other else None
     return table
 
 
@@ -314,7 +302,7 @@ def _balance(findings: Findings, limit: int) -> Table:
         note = f"Worked out{source_text(balance)}. " if balance.source else ""
         note = f"{note}{named(balance.evidence, limit=6 * limit)}".strip()
     reason = findings.balance_reason
-    why = f" The reason: {named(reason, limit=4 * limit)}" if reason else ""
+    why = f" The reason: {reason_text(reason)}." if reason else ""
     return table_of("Balance", "Quantity|Value", rows, note=note, empty=f"No residual unbalance was worked out.{why}")
 
 
@@ -395,7 +383,7 @@ def _energy(findings: Findings, limit: int) -> Table:
     title = "Where the energy is" + (f", up to {frequency_text(end)} Hz" if is_number(end) else "")
     heads = "|".join(["Channel", *(f"{title}#" for title in titles)])
     table = table_of(title, heads, rows)
-    table["bars"] = [_bar(record, limit) for record in records]
+    table.bars = [_bar(record, limit) for record in records]
     return table
 
 
@@ -407,7 +395,7 @@ def _square_unit(unit: str) -> str:
     return f"({inner})²" if not inner.isalnum() else f"{inner}²"
 
 
-def _bar(record: EnergyShares, limit: int) -> Bar:
+def _bar(record: EnergyShares, limit: int) -> dict[str, object]:
     """Parts of a bar of length 100; shares that add up to more than all are scaled down to it."""
     shares = {key: max(getattr(record, key) or 0.0, 0.0) for key, _ in PARTS}
     scale = 100 / max(1.0, sum(shares.values()))
@@ -425,7 +413,7 @@ def _lines(findings: Findings, limit: int) -> Table:
     for line in sorted(findings.lines, key=lambda line: -line.size):
         place = f"{estimate_text(line, 'frequency_hz')} Hz"
         if line.order is not None:
-            place = f"order {order_estimate(cast('Numbered', line), findings)}"
+            place = f"order {order_estimate(line, findings)}"
         level = estimate_text(line, "amplitude", unit=unit_of(findings, line))
         explained = named(line.explained_by or "unexplained", limit=2 * limit)
         rows.append([named(line.channel, limit=limit), place, level, explained])
@@ -435,7 +423,7 @@ def _lines(findings: Findings, limit: int) -> Table:
 
 
 def _quality(findings: Findings, limit: int) -> Table:
-    """Remarks by kind, the gravest first: of how many recordings, and the worst of them; all of them folded away."""
+    """Remarks by kind, the gravest first: of how many recordings, and the first of them; all of them folded away."""
     rank = {"bad": 0, "suspect": 1}
     every, kinds = list[list[str]](), dict[tuple[str, str], list[Quality]]()
     for remark in sorted(findings.quality, key=lambda remark: rank.get(remark.severity, 2)):
@@ -444,34 +432,14 @@ def _quality(findings: Findings, limit: int) -> Table:
         kinds.setdefault((remark.severity, remark.flag), []).append(remark)
     rows = []
     for (severity, flag), alike in kinds.items():
-        worst, count = _worst(alike), len({remark.recording for remark in alike})
-        case = f"{named(worst.recording, limit=limit)}: {named(worst.detail, limit=4 * limit)}"
-        rows.append([named(severity, limit=limit), named(flag, limit=limit), str(count), str(len(alike)), case])
+        count, first = len({remark.recording for remark in alike}), alike[0]
+        example = f"{named(first.recording, limit=limit)}: {named(first.detail, limit=4 * limit)}"
+        rows.append([named(severity, limit=limit), named(flag, limit=limit), str(count), str(len(alike)), example])
     everything = table_of(f"All {len(every)} remarks", "Recording|Severity|Flag|Detail", every)
     more = everything if len(rows) < len(every) else None
-    heads = "Severity|Flag|Recordings#|Remarks#|Worst case"
-    note = "One row per kind; of several the one whose numbers differ most from good." if more else ""
+    heads = "Severity|Flag|Recordings#|Remarks#|First of them"
+    note = "One row per kind; all of them are folded away below." if more else ""
     return table_of("Quality", heads, rows, note=note, empty="No remark on any recording.", more=more)
-
-
-def _worst(alike: list[Quality]) -> Quality:
-    """The remark of one kind that says most: the largest number that tells its text from the others.
-
-    Of texts that tell a shortage the smallest. A count out of a whole ("3 of 70") is taken as its share.
-    """
-    numbers = [_numbers_of(remark.detail) for remark in alike]
-    telling = [column for column in zip(*numbers, strict=False) if len(set(column)) > 1]
-    if not telling:
-        return alike[0]
-    shortage = any(word in alike[0].detail for word in _TOO_LITTLE)
-    return alike[telling[-1].index((min if shortage else max)(telling[-1]))]
-
-
-def _numbers_of(detail: str) -> list[float]:
-    shares = re.sub(
-        r"\b(\d+) of (\d+)\b", lambda match: repr(int(match[1]) / int(match[2])) if int(match[2]) else match[1], detail
-    )
-    return [float(text.replace("−", "-")) for text in _NUMBER.findall(shares)]
 
 
 def _hertz(record: Record, key: str) -> str:

@@ -45,7 +45,7 @@ def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], 
         lead=lead,
         story=[(title, [sentence for sentence in story[key] if sentence != lead]) for key, title in _ANSWERS.items()],
         pictures=[(f"./{file}", named(caption, limit=4 * limit)) for file, caption in pictures],
-        tables=[(name, table) for name, table in tables.items() if table["rows"] or table["empty"]],
+        tables=[(name, table) for name, table in tables.items() if table.rows or table.empty],
         marked=_MARKED,
     )
 
@@ -228,7 +228,7 @@ def _draw_channel(panel: Panel, changes: xr.Dataset, channel: str, colours: dict
     if labels:
         panel.drawing.add(Words(left + width + 0.1, bottom + height + 0.09, "order", SMALL, FAINT))
     else:
-        panel.note("no order changed", up=0.94)
+        panel.note("no order changed", at_in=panel.box[1] + 0.94 * panel.box[3])
 
 
 def _draw_line(panel: Panel, changes: xr.Dataset, row: int, at: Ints, color: str | None) -> float | None:
@@ -253,7 +253,7 @@ def _draw_line(panel: Panel, changes: xr.Dataset, row: int, at: Ints, color: str
         panel.band(speed, low, high, color=color, alpha=0.2)
     name = f"order-{order_text(float(changes['order'].values[row]))}"
     panel.curve(speed, values, color=color, width=1.3, name=name)
-    panel.dots(speed[claimed], values[claimed], color=color, radius=2.2)
+    panel.rings(speed[claimed], values[claimed], color=color, radius=2.2)
     return float(values[np.isfinite(values)][-1])
 
 
@@ -283,7 +283,7 @@ def trend_figure(comparison: Comparison, *, settings: ReportSettings) -> Drawing
     panel.frame()
     label_right(drawing, box, labels)
     if not claims:
-        panel.note("no line grew", up=0.94)
+        panel.note("no line grew", at_in=box[1] + 0.94 * box[3])
     of_all = f"{len(claimed)} of {len(comparison.trend)} lines"
     subtitle = f"{of_all} grow or shrink by more than chance; their change per run beside."
     title_lines(drawing, _LEFT, f"Trend over {len(runs)} runs", subtitle)
@@ -315,7 +315,7 @@ def _draw_trend(panel: Panel, runs: Floats, lines: list[Trend], number: int) -> 
     fitted = float(np.mean(values - growth * runs)) + growth * runs
     panel.curve(runs, fitted, color=color, width=1.3, name=f"growth-{number}")
     _draw_bars(panel, runs, np.clip(ends, *panel.y), color)
-    panel.dots(runs, values, color=color, radius=2.2)
+    panel.rings(runs, values, color=color, radius=2.2)
     where = f", {trend.channel}" if trend.channel else ""
     names = " or ".join(dict.fromkeys(line.line for line in lines))
     text = shortened(f"{100 * trend.growth_per_run:+.0f} % · {drawable(names, 80)}{where}", SMALL, _TREND_RIGHT - 0.35)

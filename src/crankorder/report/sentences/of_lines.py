@@ -41,6 +41,7 @@ from crankorder.plot.reading import (
     order_name,
     order_texts,
     percent_text,
+    reason_text,
     short,
     strongest_by,
     strongest_tone,
@@ -97,9 +98,10 @@ def slow_sentences(findings: Findings) -> list[str]:
     return [f"{flag.detail[:1].upper()}{flag.detail[1:]}." for flag in findings.quality if flag.flag == "slow_lines"]
 
 
-def above_asks(findings: Findings) -> list[str]:
-    """What to do where ``findings`` say that the strongest line of a channel lies above the band; else nothing."""
-    return [*filter(None, map(look_above, _stronger_above(findings)[:1]))]
+def line_asks(findings: Findings) -> list[str]:
+    """What to do about bearings in ``findings``, and where the strongest line of a channel lies above the band."""
+    asks = [RE_RUN_RULE] * any(_asks_re_run(record) for _, record in bearing_lines(findings))
+    return asks + [ask for level in _stronger_above(findings)[:1] if (ask := look_above(level))]
 
 
 def lies_above(findings: Findings) -> bool:
@@ -267,10 +269,8 @@ def _broadband(findings: Findings) -> list[str]:
         for record in (findings.energy.channels if findings.energy else ())
         if is_number(record.modes_and_floor) and record.modes_and_floor > _MOSTLY
     ]
-    if not loud:
-        return []
     shares = ", ".join(loud[:_MANY]) + ", …" * (len(loud) > _MANY)
-    return [f"Most of the energy is broadband, at natural frequencies and in the noise floor: {shares}."]
+    return [f"Most of the energy is broadband, at natural frequencies and in the noise floor: {shares}."] * bool(loud)
 
 
 def mode_sentences(findings: Findings) -> list[str]:
@@ -293,7 +293,7 @@ def mode_sentences(findings: Findings) -> list[str]:
         beside.setdefault(mode.lines_there_hz or (-1.0 - number,), mode)
     first = list(beside.values())[:_DOUBTS]
     for mode in first:
-        reason = named(mode.undecided or "", limit=4 * NAME_CHARACTERS).rstrip(".")
+        reason = reason_text(mode.undecided)
         text = f"{frequency_text(mode.frequency_hz)} Hz may be a natural frequency: not decided"
         sentences.append(f"{text}; {reason}." if reason else f"{text}.")
     if (rest := len(doubts) - len(first)) > 0:
@@ -306,10 +306,10 @@ def bearing_sentences(findings: Findings, *, with_rule: bool = True) -> list[str
     sentences = []
     for name, record in bearing_lines(findings):
         text = f"Order {order_name(record, findings)} fits the {name}: {_seen(findings, record)}."
-        parts = [part.strip().rstrip(".") for part in named(record.verdict, limit=400).split(". ")]
+        parts = [part.strip().rstrip(".") for part in reason_text(record.verdict).split(". ")]
         # the rule to re-run is said once
         verdict = [f"{part[0].upper()}{part[1:]}." for part in parts if part and "re-run" not in part.lower()]
-        sentences.append(" ".join([text, *verdict, *[RE_RUN_RULE] * (with_rule and asks_re_run(record))]))
+        sentences.append(" ".join([text, *verdict, *[RE_RUN_RULE] * (with_rule and _asks_re_run(record))]))
     return sentences
 
 
@@ -333,7 +333,7 @@ def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:
     return lines
 
 
-def asks_re_run(record: BearingFinding) -> bool:
+def _asks_re_run(record: BearingFinding) -> bool:
     """True where the verdict of a bearing ``record`` asks to run the test again, or where none was worked out."""
     return record.lock is None or record.re_run
 
@@ -361,7 +361,7 @@ def motor_sentences(findings: Findings) -> list[str]:
     if motor is None:
         return []
     if motor.misfit:
-        return [f"No line of the motor is named: {named(motor.misfit, limit=400)}."]
+        return [f"No line of the motor is named: {reason_text(motor.misfit)}."]
     sentences = _slip(motor) + [text for name in _SPEAKS_FOR if (text := _sides(name, motor, findings))]
     strongest = strongest_by(motor.lines, lambda line: (line.name, line.side)).values()
     texts = []

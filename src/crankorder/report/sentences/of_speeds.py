@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import AvoidedSpeed, Findings, Level, LimitVerdict, SpeedSwing
@@ -27,6 +26,7 @@ from crankorder.plot.reading import (
     order_name,
     order_texts,
     percent_text,
+    reason_text,
     short,
     unit_of,
     wide_bands,
@@ -59,14 +59,9 @@ def avoid_sentences(findings: Findings) -> list[str]:
     return sentences
 
 
-@dataclass(frozen=True)
-class _Order:
-    order: float
-
-
 def _excites(order: float, mode_hz: float, findings: Findings) -> str:
     """That an order excites a natural frequency, or peaks where one may be."""
-    name, hertz = order_name(_Order(order), findings), frequency_text(mode_hz)
+    name, hertz = order_name(order, findings), frequency_text(mode_hz)
     if is_in_doubt(mode_hz, findings):
         return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
     of_order = [crossing for crossing in findings.crossings if nominal_order(crossing) == order]
@@ -106,7 +101,7 @@ def doubt_sentences(findings: Findings) -> list[str]:
     """That the speed of the ``findings`` is in doubt, and why; nothing where it is not."""
     if not findings.speed_doubt:
         return []
-    reason = named(findings.speed_doubt, limit=4 * NAME_CHARACTERS)
+    reason = reason_text(findings.speed_doubt)
     return [f"The speed is in doubt, and with it every order, cause and crossing: {reason}."]
 
 
@@ -165,7 +160,7 @@ def free_sentences(findings: Findings) -> list[str]:
         widest = sorted(sorted(free, key=lambda band: band[0] - band[1])[:_SHOWN])
         more = " and narrower bands" if len(free) > _SHOWN else ""
         ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
-        remark = named(wide_bands(findings.free_bands)[0].remark or "", limit=4 * NAME_CHARACTERS)
+        remark = reason_text(wide_bands(findings.free_bands)[0].remark)
         sentences.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
     else:
         tested = [rpm for rpm in findings.speed_range_rpm if is_number(rpm)]
@@ -175,7 +170,7 @@ def free_sentences(findings: Findings) -> list[str]:
             sentences.append("No speed of the tested range can be called free of resonances.")
     if unknown:
         widest_open = max(unknown, key=lambda band: band.high_rpm - band.low_rpm)
-        reason = named(widest_open.remark.split("; ")[0], limit=4 * NAME_CHARACTERS)
+        reason = reason_text(widest_open.remark.split("; ")[0])
         others = f" (and {len(unknown) - 1} more {'bands' if len(unknown) > 2 else 'band'})" if len(unknown) > 1 else ""
         ends = f"{widest_open.low_rpm:.0f} to {widest_open.high_rpm:.0f}"
         sentences.append(f"Not free, or not known: {ends} rpm{others}: {reason}.")
@@ -212,18 +207,16 @@ def above_sentence(findings: Findings, level: Level) -> str:
 def look_above(level: Level) -> str:
     """What to do about the strongest line of a channel above the band, by its ``level``; empty without a place."""
     order, hertz = level.order_above, level.frequency_hz_above
-    how = "a recipe of your own that states "
     if is_number(order) and order <= GEAR_ORDER - BESIDE:
         how = f"`--recipe {GEAR_RECIPE}`, which finds orders to {GEAR_ORDER:g}"
     elif is_number(order):
-        how += f"`max_order = {_beyond(order):.0f}` under `[orders]`"
+        how = f"a recipe of your own that states `max_order = {_beyond(order):.0f}` under `[orders]`"
     elif is_number(hertz):
-        how += f"`max_frequency_hz = {_beyond(hertz):.0f}` under `[campbell]`"
+        how = f"a recipe of your own that states `max_frequency_hz = {_beyond(hertz):.0f}` under `[campbell]`"
     else:
         return ""
-    return (
-        f"Run it again with {how}: the strongest line in {short(level.channel)} lies above the band that was looked at."
-    )
+    where = f"the strongest line in {short(level.channel)} lies above the band that was looked at"
+    return f"Run it again with {how}: {where}."
 
 
 def _beyond(value: float) -> float:
@@ -234,18 +227,20 @@ def _beyond(value: float) -> float:
 
 def share_sentences(findings: Findings) -> list[str]:
     """Share of the energy of each channel above the band, by the ``findings``; nothing where none was worked out."""
-    shares = [(level.share_above, level) for level in findings.levels if is_number(level.share_above)]
-    if not shares:
+    levels = [level for level in findings.levels if is_number(level.share_above)]
+    if not levels:
         return []
-    shares.sort(key=lambda pair: -pair[0])
-    end = _band(shares[0][1].band_hz)
+    levels.sort(key=lambda level: -(level.share_above or 0.0))
+    end = _band(levels[0].band_hz)
     texts = [
-        f"{percent_text(share)} of that of {short(level.channel)}" for share, level in shares if share >= _WORTH_SAYING
+        f"{percent_text(level.share_above or 0.0)} of that of {short(level.channel)}"
+        for level in levels[:_MANY_CHANNELS]
+        if (level.share_above or 0.0) >= _WORTH_SAYING
     ]
     if not texts:
         return [f"Less than 0.5 % of the energy of any channel lies above the band looked at{end}."]
-    more = ", less in the others" if len(shares) > len(texts[:_MANY_CHANNELS]) else ""
-    return [f"Energy above the band looked at{end}: {listed(texts[:_MANY_CHANNELS])}{more}."]
+    more = ", less in the others" * (len(levels) > len(texts))
+    return [f"Energy above the band looked at{end}: {listed(texts)}{more}."]
 
 
 def _band(hertz: float | None) -> str:
@@ -266,16 +261,16 @@ def level_sentences(findings: Findings) -> list[str]:
     ]
 
 
-def limit_sentences(findings: Findings, *, above: bool = False) -> list[str]:
-    """What each limit in ``findings`` comes to, those that are passed most first; with ``above`` these alone."""
-    records = [record for record in findings.limits if record.verdict == "above" or not above]
-    return [_limit_sentence(record) for record in sorted(records, key=_gravity)]
+def limit_sentences(findings: Findings, *, verdict: str | None = None) -> list[str]:
+    """What each limit in ``findings`` comes to, those that are passed most first; with a ``verdict`` these alone."""
+    grave = ["above", "not decided"]
 
+    def gravity(record: LimitVerdict) -> tuple[int, float]:
+        ratio = record.level / record.value if is_number(record.level) else 0.0
+        return grave.index(record.verdict) if record.verdict in grave else len(grave), -ratio
 
-def _gravity(record: LimitVerdict) -> tuple[int, float]:
-    """Sort key of limits: exceeded ones first, then undecided ones, each by the ratio of level to limit."""
-    rank = {"above": 0, "not decided": 1}.get(record.verdict, 2)
-    return rank, -record.level / record.value if is_number(record.level) else 0.0
+    records = [record for record in findings.limits if verdict in (None, record.verdict)]
+    return [_limit_sentence(record) for record in sorted(records, key=gravity)]
 
 
 def _limit_sentence(record: LimitVerdict) -> str:
@@ -288,28 +283,9 @@ def _limit_sentence(record: LimitVerdict) -> str:
     level = estimate_text(record, "level", unit=unit) + at_speed(record.speed_rpm)
     if record.verdict == "not decided":
         size = f": {level}" if is_number(record.level) else ""
-        return f"{what} beside the limit of {limit} is not decided{size}; {record.evidence}."
+        why = reason_text(record.evidence) or "nothing tells the level"
+        return f"Whether {what[0].lower()}{what[1:]} is above the limit of {limit} is not decided{size}; {why}."
     return f"{what} is {record.verdict} the limit of {limit}: {level}."
-
-
-def undecided_limits(findings: Findings) -> list[str]:
-    """Which limits in ``findings`` are not decided, for which channels and why: a sentence each, of many the first."""
-    channels: dict[tuple[str, str], list[str]] = {}
-    for record in findings.limits:
-        if record.verdict == "not decided":
-            limit = with_interval(record.value, None, unit=unit_text(record.unit))
-            band = "" if record.band_hz is None else f", {band_of(record.band_hz, None)}"
-            what = f"r.m.s. {record.quantity}{band}" if band else record.quantity
-            key = (f"{limit} ({what}; {named(record.source, limit=2 * NAME_CHARACTERS)})", record.evidence)
-            channels.setdefault(key, []).append(short(record.channel) if record.channel else "")
-    sentences = []
-    for (limit, why), names in list(channels.items())[:_MANY_CHANNELS]:
-        first, rest = [name for name in names if name][:_MANY_CHANNELS], len(names) - _MANY_CHANNELS
-        text = f"{', '.join(first)} and {rest} more" if rest > 0 else listed(first)
-        where = f" for {text}" if first else ""
-        sentences.append(f"The limit of {limit} is not decided{where}, because {why or 'nothing tells the level'}.")
-    rest = len(channels) - _MANY_CHANNELS
-    return sentences + [f"{rest} more limits are not decided: see their table."] * (rest > 0)
 
 
 def band_of(band_hz: tuple[float | None, float | None], reached_hz: float | None) -> str:

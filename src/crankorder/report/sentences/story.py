@@ -5,12 +5,10 @@ Here are those on how orders grow and whether they are locked, on the residual u
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Literal, TypedDict
 
 from crankorder.findings import Balance, Findings, OrderFinding
 from crankorder.plot.reading import (
-    NAME_CHARACTERS,
     at_one_speed,
     estimate_text,
     fixed_tones,
@@ -20,42 +18,16 @@ from crankorder.plot.reading import (
     is_in_doubt,
     is_number,
     listed,
-    named,
     nominal_order,
     order_name,
     order_texts,
     percent_text,
+    reason_text,
     short,
     strongest_by,
 )
 from crankorder.quantities import WHICH_IS_RIGHT
-from crankorder.report.sentences.of_lines import (
-    LIKE_UNBALANCE,
-    RE_RUN_RULE,
-    above_asks,
-    asks_re_run,
-    bearing_lines,
-    bearing_sentences,
-    lies_above,
-    line_sentences,
-    mode_sentences,
-    motor_sentences,
-    nothing_proven,
-    slow_sentences,
-    tone_sentences,
-)
-from crankorder.report.sentences.of_speeds import (
-    all_judged,
-    avoid_sentences,
-    doubt_sentences,
-    free_sentences,
-    level_sentences,
-    limit_sentences,
-    shaft_sentences,
-    share_sentences,
-    swing_sentences,
-    undecided_limits,
-)
+from crankorder.report.sentences import of_lines, of_speeds
 
 ALL_CLEAR = (
     "Nothing that was looked for asks for action: orders, natural frequencies and their crossings. Strikes in "
@@ -103,7 +75,6 @@ _MUCH_UNKNOWN = 0.05  # of the energy: more than this asks for a look
 _CLEAR_EXPONENT = 1.5  # an interval of the speed exponent wider than this tells nothing
 _SHOWN = 8  # orders that a sentence names
 _STEADY_CAUSES = ("unexplained", "bearing", "gear mesh")  # what may keep its size
-_LETTERS = 4 * NAME_CHARACTERS  # of a reason
 
 Answer = Literal["what", "why", "how_sure", "what_to_do"]
 
@@ -126,20 +97,23 @@ def headline(findings: Findings) -> list[str]:
     its natural frequencies. ``findings`` as in ``data_schema/findings.json``. Never empty.
     """
     if findings.not_asked_for:
-        return [*shaft_sentences(findings), f"Findings were {named(findings.not_asked_for, limit=400)}."]
+        return [*of_speeds.shaft_sentences(findings), f"Findings were {reason_text(findings.not_asked_for)}."]
     energy = filter(None, [energy_sentence(findings)])
-    limits = [*limit_sentences(findings, above=True)[:1], *undecided_limits(findings)]
+    undecided = of_speeds.limit_sentences(findings, verdict="not decided")
+    limits = [*of_speeds.limit_sentences(findings, verdict="above")[:1], *undecided[:1]]
+    if len(undecided) > 1:
+        limits.append(f"{len(undecided)} limits are not decided: see their table.")
     if _stands_still(findings):
-        return [*limits, *mode_sentences(findings)[:1], *energy]
-    lines = line_sentences(findings)[: 1 + lies_above(findings)]
-    bearings = bearing_sentences(findings)[:1]
+        return [*limits, *of_lines.mode_sentences(findings)[:1], *energy]
+    lines = of_lines.line_sentences(findings)[: 1 + of_lines.lies_above(findings)]
+    bearings = of_lines.bearing_sentences(findings)[:1]
     strikes = any(record.damage for record in findings.bearings)
     return [
-        *doubt_sentences(findings),
+        *of_speeds.doubt_sentences(findings),
         *limits,
         *(bearings + lines if strikes else lines + bearings),
-        *slow_sentences(findings),
-        *(avoid_sentences(findings) or free_sentences(findings))[:1],
+        *of_lines.slow_sentences(findings),
+        *(of_speeds.avoid_sentences(findings) or of_speeds.free_sentences(findings))[:1],
         *balance_sentences(findings)[:1],
         *energy,
     ]
@@ -149,21 +123,22 @@ def story_of(findings: Findings) -> Story:
     """What shakes, why, how sure and what to do, from ``findings``; unasked for, only what the data are worth."""
     quality, repeat = _quality_sentences(findings), _repeat_sentences(findings)
     if findings.not_asked_for:
-        return Story(what=shaft_sentences(findings), why=[], how_sure=quality, what_to_do=repeat)
-    levels = [*level_sentences(findings), *limit_sentences(findings)]
-    shares = [*filter(None, [energy_sentence(findings)]), *share_sentences(findings)]
-    modes, tones = mode_sentences(findings), tone_sentences(findings)
+        return Story(what=of_speeds.shaft_sentences(findings), why=[], how_sure=quality, what_to_do=repeat)
+    levels = [*of_speeds.level_sentences(findings), *of_speeds.limit_sentences(findings)]
+    shares = [*filter(None, [energy_sentence(findings)]), *of_speeds.share_sentences(findings)]
+    modes, tones = of_lines.mode_sentences(findings), of_lines.tone_sentences(findings)
     if _stands_still(findings):
         return Story(
             what=modes + levels, why=tones, how_sure=[INTERVALS, *shares, *quality], what_to_do=repeat or [STILL_CLEAR]
         )
     return Story(
-        what=line_sentences(findings) + levels,
+        what=of_lines.line_sentences(findings) + levels,
         why=[
-            *law_sentences(findings), *swing_sentences(findings), *modes, *tones, *motor_sentences(findings),
-            *bearing_sentences(findings, with_rule=False), *balance_sentences(findings),
+            *law_sentences(findings), *of_speeds.swing_sentences(findings), *modes, *tones,
+            *of_lines.motor_sentences(findings), *of_lines.bearing_sentences(findings, with_rule=False),
+            *balance_sentences(findings),
         ],
-        how_sure=[INTERVALS, *doubt_sentences(findings), *shares, *lock_sentences(findings), *quality],
+        how_sure=[INTERVALS, *of_speeds.doubt_sentences(findings), *shares, *lock_sentences(findings), *quality],
         what_to_do=_what_to_do(findings),
     )  # fmt: skip
 
@@ -205,51 +180,53 @@ def _has_unexplained(findings: Findings) -> bool:
 
 def _quality_sentences(findings: Findings) -> list[str]:
     """How many recordings are bad or suspect, and what was left out for a gain that was changed."""
-    count = Counter(flag.severity for flag in findings.quality)
     sentences = []
     for severity, advice in _WEIGHTS.items():
-        if count[severity]:
-            remarks = "1 quality remark is" if count[severity] == 1 else f"{count[severity]} quality remarks are"
+        if count := sum(flag.severity == severity for flag in findings.quality):
+            remarks = "1 quality remark is" if count == 1 else f"{count} quality remarks are"
             sentences.append(f"{remarks} {severity}: {advice}.")
-    faultless = [] if sentences else ["No recording was found faulty or suspect."]
+    sentences = sentences or ["No recording was found faulty or suspect."]
     jumps = [flag for flag in findings.quality if flag.flag == "level_jump" and flag.left_out]
     for is_open, why in ((False, "its gain was changed"), (True, f"gains differ, and nothing tells {WHICH_IS_RIGHT}")):
-        changed = [flag for flag in jumps if (WHICH_IS_RIGHT in flag.detail) == is_open]
+        changed = [
+            f"{short(jump.channel)} of {short(jump.recording)}"
+            for jump in jumps
+            if (WHICH_IS_RIGHT in jump.detail) == is_open
+        ]
         if changed:
-            first = ", ".join(f"{short(flag.channel)} of {short(flag.recording)}" for flag in changed[:_MANY])
             more = f" and {len(changed) - _MANY} more" if len(changed) > _MANY else ""
-            sentences.append(f"Left out of everything that is said: {first}{more} ({why}).")
-    return sentences + faultless
+            sentences.append(f"Left out of everything that is said: {', '.join(changed[:_MANY])}{more} ({why}).")
+    return sentences
 
 
 def _what_to_do(findings: Findings) -> list[str]:
-    avoid = avoid_sentences(findings)
+    avoid = of_speeds.avoid_sentences(findings)
     if len(avoid) > _MANY:
         avoid = [*avoid[:_MANY], f"The table of speeds to avoid names all {len(avoid)} of them."]
-    asks = [RE_RUN_RULE] if any(asks_re_run(record) for _, record in bearing_lines(findings)) else []
-    asks += above_asks(findings) + _balance_asks(findings)
+    asks = of_lines.line_asks(findings) + _balance_asks(findings)
     fraction = findings.unexplained_energy_fraction
     if is_number(fraction) and fraction > _MUCH_UNKNOWN and _has_unexplained(findings):
         asks.append("Look for the cause of the lines that the tables call unexplained.")
     asks += _repeat_sentences(findings)
-    if not avoid and not asks:
-        if nothing_proven(findings):
-            asks = [TOO_SHORT]
-        elif all_judged(findings):
-            asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in findings.looked_for else ALL_CLEAR]
-    return [*avoid, *free_sentences(findings), *asks]
+    if not avoid and not asks and of_lines.nothing_proven(findings):
+        asks = [TOO_SHORT]
+    elif not avoid and not asks and of_speeds.all_judged(findings):
+        asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in findings.looked_for else ALL_CLEAR]
+    return [*avoid, *of_speeds.free_sentences(findings), *asks]
 
 
 def _balance_asks(findings: Findings) -> list[str]:
     """To balance where an unbalanced mass makes the strongest order; for more speeds where it may for want of them."""
-    if findings.speed_doubt or lies_above(findings):
+    if findings.speed_doubt or of_lines.lies_above(findings):
         return []
     strongest, asks = strongest_by(findings.orders, lambda record: record.channel), []
     leads = sorted(name for name, record in strongest.items() if record.kinds == ("unbalance",))
     if leads:
         channels = listed(list(map(short, leads)))
         asks.append(BALANCE if len(leads) == len(strongest) else BALANCE_IN.format(channels=channels))
-    if any(record.kinds == (LIKE_UNBALANCE,) and "few speeds" in record.doubts for record in strongest.values()):
+    if any(
+        record.kinds == (of_lines.LIKE_UNBALANCE,) and "few speeds" in record.doubts for record in strongest.values()
+    ):
         asks.append(MORE_SPEEDS)
     return asks
 
@@ -275,14 +252,12 @@ def law_sentences(findings: Findings) -> list[str]:
             half.append(name)
     sentences = []
     if square:
-        verb = "grow" if len(square) > 1 else "grows"
-        sentences.append(
-            f"{_orders(square)} {verb} with the square of the speed, as the force of an unbalanced mass does."
-        )
+        verb = _orders(square, "grows", "grow")
+        sentences.append(f"{verb} with the square of the speed, as the force of an unbalanced mass does.")
     if steady:
-        verb = "keep their" if len(steady) > 1 else "keeps its"
         where = "where seen" if at_one_speed(findings) else "at all tested speeds"
-        sentences.append(f"{_orders(steady)} {verb} size {where}: not an unbalance, rather a bearing or a gear.")
+        size = f"{_orders(steady, 'keeps its', 'keep their')} size {where}"
+        sentences.append(f"{size}: not an unbalance, rather a bearing or a gear.")
     first = strongest.get(1.0)
     if first is not None and "slower than unbalance" in first.doubts and is_number(first.speed_exponent):
         exponent = estimate_text(first, "speed_exponent")
@@ -291,11 +266,11 @@ def law_sentences(findings: Findings) -> list[str]:
         shaped = [
             f"{frequency_text(mode_hz)} Hz shapes order {listed(names)}" for mode_hz, names in sorted(met.items())
         ]
-        more = " and others" if len(shaped) > _SHOWN else ""
+        more = " and others" * (len(shaped) > _SHOWN)
         sentences.append(f"Natural frequencies shape orders: {', '.join(shaped[:_SHOWN])}{more}.")
     if half:
-        verb = "repeat" if len(half) > 1 else "repeats"
-        sentences.append(f"{_orders(half, most=_SHOWN)} {verb} every second revolution, as a four-stroke cycle does.")
+        verb = _orders(half, "repeats", "repeat", most=_SHOWN)
+        sentences.append(f"{verb} every second revolution, as a four-stroke cycle does.")
     return sentences
 
 
@@ -304,8 +279,9 @@ def _is_square(record: OrderFinding) -> bool:
     return ends is not None and ends[1] - ends[0] < _CLEAR_EXPONENT and ends[0] <= 2 <= ends[1]
 
 
-def _orders(names: list[str], *, most: int | None = None) -> str:
-    return f"Order{'s' if len(names) > 1 else ''} {listed(names, most=most)}"
+def _orders(names: list[str], verb: str, plural: str, *, most: int | None = None) -> str:
+    """Orders called ``names`` with the ``verb`` in the number that fits: ``"Orders 1 and 2 grow"``."""
+    return f"Orders {listed(names, most=most)} {plural}" if len(names) > 1 else f"Order {names[0]} {verb}"
 
 
 def lock_sentences(findings: Findings) -> list[str]:
@@ -323,24 +299,21 @@ def lock_sentences(findings: Findings) -> list[str]:
             undecided.append(record)
     sentences = []
     if slips:
-        are, them = ("are no exact multiples", "them") if len(slips) > 1 else ("is no exact multiple", "it")
-        why = f"what makes {them} slips, or turns in a ratio of its own"
-        sentences.append(f"{_orders(slips[:_SHOWN])} {are} of the half revolution: {why}.")
+        slip = _orders(slips[:_SHOWN], "is no exact multiple", "are no exact multiples")
+        cause = f"what makes {'it' if len(slips) == 1 else 'them'} slips, or turns in a ratio of its own"
+        sentences.append(f"{slip} of the half revolution: {cause}.")
     if loose:
-        are, it = ("are", "they follow") if len(loose) > 1 else ("is", "it follows")
-        sentences.append(
-            f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution; at one speed nothing tells "
-            f"whether {it} the shaft."
-        )
+        are, follow = ("is", "it follows") if len(loose) == 1 else ("are", "they follow")
+        multiple = f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution"
+        sentences.append(f"{multiple}; at one speed nothing tells whether {follow} the shaft.")
     if undecided:
-        which = "they are" if len(undecided) > 1 else "it is"
-        names = _orders([order_name(record, findings) for record in undecided], most=_SHOWN)
-        needed = (record.revs_to_decide for record in undecided)
-        longest = max(filter(is_number, needed), default=0.0)
+        names = [order_name(record, findings) for record in undecided]
+        longest = max((record.revs_to_decide or 0.0 for record in undecided), default=0.0)
         would = f"; recordings of {longest:.0f} revolutions would tell" if longest else ""
         if any("in a sweep" in record.doubts for record in undecided):
             would = "; a recording at one held speed would tell"
-        sentences.append(f"{names}: whether {which} locked to the shaft cannot be told yet{would}.")
+        are = _orders(names, "is", "are", most=_SHOWN)
+        sentences.append(f"{are} not yet known to be locked to the shaft{would}.")
     return sentences
 
 
@@ -348,7 +321,7 @@ def balance_sentences(findings: Findings) -> list[str]:
     """Residual unbalance of ``findings`` in grams with intervals, the most telling first; or why it is not known."""
     balance = findings.balance
     if balance is None:
-        reason = named(findings.balance_reason or "", limit=_LETTERS).rstrip(".")
+        reason = reason_text(findings.balance_reason)
         return [f"Residual unbalance in grams is not known: {reason}."] if reason else []
     sentences = []
     but = ", if order 1 is unbalance" if balance.if_unbalance else ""
@@ -391,4 +364,4 @@ def undecided_quantities(balance: Balance) -> list[tuple[str, str]]:
     """Title and reason of every number of ``balance`` that is not decided."""
     reasons = balance.not_decided or {}
     titles = {key: QUANTITIES[key][0] if key in QUANTITIES else key.replace("_", " ") for key in reasons}
-    return [(named(titles[key], limit=_LETTERS), named(reason, limit=_LETTERS)) for key, reason in reasons.items()]
+    return [(reason_text(titles[key]), reason_text(reason)) for key, reason in reasons.items()]
