@@ -20,7 +20,7 @@ KEYS = {"engine", "lambda", "harmonics", "force_g_mm", "strategies", "shafts", "
 
 def sheet_of(name, **options):
     """Sheet of a shipped engine."""
-    return balance_sheet(load_balanced_engine(name), **options).as_dict()
+    return balance_sheet(load_balanced_engine(name), **options)
 
 
 def test_every_shipped_engine_has_a_sheet_that_json_keeps_whole():
@@ -40,7 +40,7 @@ def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name):
     engine = subject.engine
     terms_kg_m = engine.reciprocating_mass_kg * engine.crank_radius_m + engine.rotating_unbalance_kg_m
     round_off_n = 1e-14 * len(engine.cylinders) * terms_kg_m * (2000 * np.pi / 30) ** 2
-    sheet = balance_sheet(subject, speeds_rpm=[2000.0]).as_dict()
+    sheet = balance_sheet(subject, speeds_rpm=[2000.0])
     for axis, direction in (("x", "Z"), ("y", "X")):
         stated = sheet["force_n"]["2000"][axis] or {}
         known = force[DIRECTIONS.index(direction)]  # type: ignore[arg-type]
@@ -72,7 +72,7 @@ def test_several_cylinders_show_their_sum_and_no_strategies_of_one():
     cylinders = [{"crank_deg": 0.0, "position_m": -0.05}, {"crank_deg": 180.0, "position_m": 0.05}]
     table = {"crank_radius_m": 0.04, "rod_length_m": 0.14, "reciprocating_mass_kg": 0.5, "cylinders": cylinders}
     engine = balanced_engine(table, name="inline-2", source="inline-2.toml")
-    sheet = balance_sheet(engine, speeds_rpm=[3000.0]).as_dict()
+    sheet = balance_sheet(engine, speeds_rpm=[3000.0])
     assert "1" not in sheet["force_g_mm"]["x"]
     assert sheet["force_g_mm"]["x"]["2"] == pytest.approx(2 * 0.5e3 * 40 * sheet["harmonics"]["2"], rel=1e-12)
     assert sheet["strategies"] is None

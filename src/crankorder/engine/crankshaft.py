@@ -11,14 +11,13 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from crankorder.engine.balancing import unbalance_force_n
+from crankorder.engine.forces import newton
 from crankorder.engine.machine_parts import NOT_EMPTY, EngineData, NonNegative, Positive
-from crankorder.records import Record, said
 
 
 class CrankshaftSection(EngineData):
@@ -33,13 +32,6 @@ class CrankshaftSection(EngineData):
     x_mm: float
     y_mm: float
     z_mm: float
-
-
-class CrankshaftSums(Record):
-    """Static and dynamic sum of a crankshaft or a part of it, each as x + iy."""
-
-    static_kg_mm: complex = said("unbalance, kg·mm")
-    dynamic_kg_mm2: complex = said("moment of the unbalance about the datum, kg·mm²")
 
 
 class FanCounterweight(EngineData):
@@ -225,125 +217,82 @@ def _slug_section(slug: Slug, holder: CrankshaftSection, fans: Mapping[str, FanC
     return CrankshaftSection(name=name, mass_kg=mass_kg, x_mm=centre.real, y_mm=centre.imag, z_mm=holder.z_mm)
 
 
-def crankshaft_sums(sections: Sequence[CrankshaftSection]) -> CrankshaftSums:
-    """Static and dynamic sums of a crankshaft.
+def crankshaft_sums(sections: Sequence[CrankshaftSection]) -> tuple[complex, complex]:
+    """Static (kg·mm) and dynamic (kg·mm²) sum of a crankshaft, each as x + iy; the second about the datum.
 
     ``sections``: its parts, the bob weight on the pin among them. Both sums must vanish for a shaft in balance; the
     dynamic one depends on the datum unless the static one vanishes. Source: Ruckle 2014, equations (5) to (8), table 2.
     """
     arms = [section.mass_kg * complex(section.x_mm, section.y_mm) for section in sections]
-    moment = sum((arm * section.z_mm for arm, section in zip(arms, sections, strict=True)), 0j)
-    return CrankshaftSums(static_kg_mm=sum(arms, 0j), dynamic_kg_mm2=moment)
+    return sum(arms, 0j), sum((arm * section.z_mm for arm, section in zip(arms, sections, strict=True)), 0j)
 
 
-def two_plane_correction(sums: CrankshaftSums, planes_mm: tuple[float, float]) -> tuple[complex, complex]:
+def two_plane_correction(sums: tuple[complex, complex], planes_mm: tuple[float, float]) -> tuple[complex, complex]:
     """Unbalance (kg·mm, x + iy) to add in each of two planes so that both sums vanish.
 
     ``sums``: static and dynamic. ``planes_mm``: places of the planes along the axis, from the datum of the sums; not
     the same.
     """
-    first, second = planes_mm
-    in_second = (first * sums.static_kg_mm - sums.dynamic_kg_mm2) / (second - first)
-    return -sums.static_kg_mm - in_second, in_second
+    (static, dynamic), (first, second) = sums, planes_mm
+    in_second = (first * static - dynamic) / (second - first)
+    return -static - in_second, in_second
 
 
-class BalancedSection(Record):
-    """A part of the crankshaft and its sums."""
-
-    part: CrankshaftSection = said("mass (kg) and centre of gravity (mm)", spread=True)
-    sums: CrankshaftSums = said("of the part alone", spread=True)
+def _axes(amount: complex) -> dict[str, float]:
+    return {"x": amount.real, "y": amount.imag}
 
 
-class FanSizes(Record):
-    """A counterweight shaped as a fan, and how much each of its sizes counts."""
-
-    mass_kg: float = said("mass, kg")
-    centroid_mm: float = said("distance of the centre of gravity from the axis, mm")
-    unbalance_kg_mm: float = said("mass times that distance, kg·mm")
-    sensitivity: dict[Literal["radius", "thickness", "fan_angle"], float] = said("% of unbalance per % of each size")
-    resized: dict[str, float | None] = said("radius, thickness (mm) or fan angle (°) that alone meets both sums")
-
-
-class CorrectionPlane(Record):
-    """The first or the last counterweight: its unbalance, slugs included, and the one that balances the crankshaft."""
-
-    name: str = said("name of the counterweight")
-    z_mm: float = said("place along the crankshaft, mm from the datum")
-    has_kg_mm: complex = said("unbalance that it has, kg·mm")
-    correction_kg_mm: complex = said("unbalance to be added, kg·mm")
-    needs_kg_mm: complex = said("sum of both, kg·mm")
-    fan: FanSizes | None = said("its sizes where it is a fan")
-
-
-class BobWeight(Record):
-    """Sums of the crankshaft with another mass in the place of its bob weight."""
-
-    method: str = said("method that gave the mass of the rod's big end")
-    mass_kg: float = said("that mass, kg")
-    sums: CrankshaftSums = said("of the whole crankshaft", spread=True)
-
-
-class CrankshaftBalance(Record):
-    """Parts and sums of a crankshaft, its rocking couple by speed, and corrections in two planes."""
-
-    sections: tuple[BalancedSection, ...] = said("parts, slugs included")
-    sums: CrankshaftSums = said("of all parts", spread=True)
-    couple_n_m: dict[str, float] = said("rocking couple that turns with the crankshaft, N·m", key="couple_Nm_at_rpm")
-    planes: tuple[CorrectionPlane, ...] = said("first and last counterweight")
-    overbalance_kg_mm: tuple[float, float] | None = said("least and most overbalance wanted, kg·mm")
-    overbalanced_by_kg_mm: float = said("overbalance of the counterweights, kg·mm")
-    overbalance_met: bool | None = said("whether it lies between both")
-    bob_weights: tuple[BobWeight, ...] | None = said("sums by mass of the rod's big end, the stated one first")
+def _sums(sections: Sequence[CrankshaftSection]) -> dict[str, dict[str, float]]:
+    static, dynamic = crankshaft_sums(sections)
+    return {"static_kg_mm": _axes(static), "dynamic_kg_mm2": _axes(dynamic)}
 
 
 def crankshaft_balance(
     data: CrankshaftData, speeds: Mapping[str, float], *, big_ends_g: Mapping[str, float]
-) -> CrankshaftBalance:
-    """Balance of the crankshaft ``data`` by itself.
+) -> dict[str, Any]:
+    """Balance of the crankshaft ``data`` by itself, as the balance sheet has it.
 
     ``speeds``: crank speeds (rpm) by the text that names each. ``big_ends_g``: masses of the rod's big end (g) by the
     method that gave each; every one is put in the place of the bob weight, if there is one.
     Source: Ruckle 2014, table 2.
     """
-    sums = crankshaft_sums(data.parts)
-    towards, wanted = -sums.static_kg_mm.imag, data.overbalance_kg_mm
+    static, dynamic = sums = crankshaft_sums(data.parts)
+    towards, wanted = -static.imag, data.overbalance_kg_mm
     (first, first_mm), *_, (last, last_mm) = data.places.items()
     at_first, at_last = two_plane_correction(sums, (first_mm, last_mm))
-    return CrankshaftBalance(
-        sections=tuple(BalancedSection(part=part, sums=crankshaft_sums([part])) for part in data.parts),
-        sums=sums,
-        couple_n_m={
-            key: float(unbalance_force_n(abs(sums.dynamic_kg_mm2), speed_rpm)) for key, speed_rpm in speeds.items()
-        },
-        planes=(_plane(data, first, first_mm, at_first), _plane(data, last, last_mm, at_last)),
-        overbalance_kg_mm=wanted,
-        overbalanced_by_kg_mm=towards,
-        overbalance_met=None if wanted is None else wanted[0] <= towards <= wanted[1],
-        bob_weights=_bob_weights(data, big_ends_g),
-    )
+    return {
+        "sections": [part.model_dump() | _sums([part]) for part in data.parts],
+        **_sums(data.parts),
+        "couple_Nm_at_rpm": {key: newton(abs(dynamic), speed_rpm) for key, speed_rpm in speeds.items()},
+        "planes": [_plane(data, first, at_first), _plane(data, last, at_last)],
+        "overbalance_kg_mm": None if wanted is None else list(wanted),
+        "overbalanced_by_kg_mm": towards,
+        "overbalance_met": None if wanted is None else wanted[0] <= towards <= wanted[1],
+        "bob_weights": _bob_weights(data, big_ends_g),
+    }
 
 
-def _plane(data: CrankshaftData, name: str, z_mm: float, added: complex) -> CorrectionPlane:
-    own = [part for part in data.parts if part.name in (name, f"Slug in {name}")]
-    has, fan, sizes = crankshaft_sums(own).static_kg_mm, data.fans.get(name), None
+def _plane(data: CrankshaftData, name: str, added: complex) -> dict[str, Any]:
+    """The first or the last counterweight: its unbalance, slugs included, and the one that balances the crankshaft."""
+    has, _ = crankshaft_sums([part for part in data.parts if part.name in (name, f"Slug in {name}")])
+    fan, sizes = data.fans.get(name), None
     if fan is not None:
-        slugs = has - crankshaft_sums([fan.section]).static_kg_mm
+        slugs = has - crankshaft_sums([fan.section])[0]
         names = ("mass_kg", "centroid_mm", "unbalance_kg_mm", "sensitivity")
-        sizes = FanSizes(**{key: getattr(fan, key) for key in names}, resized=fan.resized(abs(has + added - slugs)))
-    return CorrectionPlane(
-        name=name, z_mm=z_mm, has_kg_mm=has, correction_kg_mm=added, needs_kg_mm=has + added, fan=sizes
-    )
+        sizes = {key: getattr(fan, key) for key in names} | {"resized": fan.resized(abs(has + added - slugs))}
+    amounts = {"has_kg_mm": has, "correction_kg_mm": added, "needs_kg_mm": has + added}
+    by_axis = {key: _axes(amount) for key, amount in amounts.items()}
+    return {"name": name, "z_mm": data.places[name], **by_axis, "fan": sizes}
 
 
-def _bob_weights(data: CrankshaftData, big_ends_g: Mapping[str, float]) -> tuple[BobWeight, ...] | None:
+def _bob_weights(data: CrankshaftData, big_ends_g: Mapping[str, float]) -> list[dict[str, Any]] | None:
+    """Sums of the crankshaft by mass of the rod's big end in the place of its bob weight, the stated one first."""
     if data.bob_weight is None:
         return None
     bob = next(part for part in data.parts if part.name == data.bob_weight)
     others = [part for part in data.parts if part is not bob]
-
-    def with_mass(method: str, mass_kg: float) -> BobWeight:
-        sums = crankshaft_sums([*others, bob.model_copy(update={"mass_kg": mass_kg})])
-        return BobWeight(method=method, mass_kg=mass_kg, sums=sums)
-
-    weighed = (with_mass(method, 1e-3 * grams) for method, grams in big_ends_g.items())
-    return with_mass("stated", bob.mass_kg), *weighed
+    masses_kg = {"stated": bob.mass_kg, **{method: 1e-3 * grams for method, grams in big_ends_g.items()}}
+    return [
+        {"method": method, "mass_kg": mass_kg, **_sums([*others, bob.model_copy(update={"mass_kg": mass_kg})])}
+        for method, mass_kg in masses_kg.items()
+    ]

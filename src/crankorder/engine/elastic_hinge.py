@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +29,6 @@ from crankorder.engine.hinged_crank import (
 )
 from crankorder.engine.slider_crank import Angles
 from crankorder.errors import RequestError
-from crankorder.records import Record, said
 
 PinHinge = Literal["full", "potential", "printed"]
 """What the hinge at the crank pin gives. ``"full"``: all of M12, so that no side force is left; only where G = 0 can a
@@ -444,21 +443,13 @@ def hinge_guides(table: HingeTable, data: GuideData) -> Guides:
     )
 
 
-class AirSpring(Record):
-    """An air spring at another speed than its guides are cut for."""
-
-    joint: Joint = said("hinge")
-    designed_speed_rpm: float = said("crank speed that the guides are cut for, rpm")
-    speed_rpm: float = said("other crank speed, rpm")
-    pressure_ratio: float = said("charge pressure over that of the designed speed")
-    residual_share: float = said("moment that it lacks over the moment needed, rms")
-    speed_fluctuation: float = said("(fastest − slowest) / mean crank speed that this makes")
-
-
 def air_spring(
     crank: HingedCrank, torque: CrankTorque, *, joint: Joint, designed_speed_rpm: float, speed_rpm: float
-) -> AirSpring:
+) -> dict[str, Any]:
     """Pressure ratio that an air spring in the same guides needs at another speed, and what it leaves undone.
+
+    As the balance document has it: ``residual_share`` is the moment that it lacks over the moment needed, rms, and
+    ``speed_fluctuation`` what this makes of the crank speed, (fastest − slowest) / mean.
 
     The moment of an air spring is its charge pressure times a curve of the guides: one ratio scales it at all angles.
     The moment needed is a part that no speed changes, and one that grows with its square. The ratio is the best in
@@ -488,14 +479,14 @@ def air_spring(
     swing = float(np.ptp(tables[1].work_j - ratio * tables[0].work_j))
     energy = float(np.mean(reduced_inertia(tables[0].crank_angle_rev[:-1], crank))) * (speed_rpm * np.pi / 30) ** 2
     needed_rms = float(np.sqrt(weight @ needed**2))
-    return AirSpring(
-        joint=joint,
-        designed_speed_rpm=designed_speed_rpm,
-        speed_rpm=speed_rpm,
-        pressure_ratio=ratio,
-        residual_share=residual_rms / needed_rms if needed_rms else 0.0,
-        speed_fluctuation=swing / energy,
-    )
+    return {
+        "joint": joint,
+        "designed_speed_rpm": designed_speed_rpm,
+        "speed_rpm": speed_rpm,
+        "pressure_ratio": ratio,
+        "residual_share": residual_rms / needed_rms if needed_rms else 0.0,
+        "speed_fluctuation": swing / energy,
+    }
 
 
 def _spring_moment(

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crankorder.engine.definition import BalanceShafts, Engine
+from crankorder.engine.definition import Engine
 from crankorder.engine.gas import firing_angle_deg, gas_force
 from crankorder.engine.slider_crank import (
     Angles,
@@ -27,6 +27,8 @@ from crankorder.errors import RequestError
 DIRECTIONS: tuple[Literal["X", "Y", "Z"], ...] = ("X", "Y", "Z")
 """X across, Y along the crankshaft, Z along the cylinder away from the crankshaft; the crank turns from Z to X."""
 X, Y, Z = range(3)
+Amounts = dict[str, float]
+"""Amplitudes by order, or forces by crank speed (rpm): orders and speeds as texts."""
 CANCELLED = 1e-12
 """Of one cylinder's largest force: what is left below it of several that cancel is rounding."""
 
@@ -107,6 +109,27 @@ def turning_weights(engine: Engine) -> tuple[TurningWeight, ...]:
         force = np.array([across, 0j, along])
         weights.append(TurningWeight(abs(ratio), force, x_m, weight.position_m, z_m))
     return tuple(weights)
+
+
+def unbalance_force_n(unbalance_g_mm: ArrayLike, speed_rpm: ArrayLike) -> Angles:
+    """Force (N) of an unbalance at a speed: 1e-6 · unbalance · ω², with no division by g.
+
+    ``unbalance_g_mm``: mass times radius, or an amplitude over ω². ``speed_rpm``: speed of the shaft that carries it
+    (for an amplitude over ω²: of the crank). The shapes must broadcast; the result has the common shape.
+    Source: Ruckle 2014, equation (1), whose g belongs to weights only (truth sheet 2.1).
+    """
+    omega = np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)
+    return 1e-6 * np.asarray(unbalance_g_mm, dtype=np.float64) * omega**2
+
+
+def newton(unbalance_g_mm: float, speed_rpm: float) -> float:
+    """Force (N) of ``unbalance_g_mm``, an amplitude over ω², at ``speed_rpm`` of the crank."""
+    return float(unbalance_force_n(unbalance_g_mm, speed_rpm))
+
+
+def speed_key(speed_rpm: float) -> str:
+    """``speed_rpm`` as tables and sentences name it: every digit that a user can have meant, no zeros at the end."""
+    return f"{speed_rpm:.15g}"
 
 
 def inertia_torque(engine: Engine, max_order: int) -> Complex:
@@ -359,7 +382,7 @@ def main_bearing_loads(
             carried[bearing, X] += part * (along * lean_sine + across * lean_cosine)
             carried[bearing, Z] += part * (along * lean_cosine - across * lean_sine)
     sine, cosine = sine_cosine(angles)
-    for weight in turning_weights(engine.model_copy(update={"shafts": BalanceShafts()})):
+    for weight in turning_weights(engine.bare):
         force = (speed_rpm * np.pi / 30) ** 2 * weight.force_kg_m
         turning = np.multiply.outer(force.real, cosine) - np.multiply.outer(force.imag, sine)
         for bearing, part in _carried(places, weight.position_m):
