@@ -8,9 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from crankorder.engine.balance_data import balanced_engine, load_balanced_engine
+from crankorder.engine.balance_data import (
+    CrankshaftSection,
+    FanCounterweight,
+    balanced_engine,
+    load_balanced_engine,
+)
 from crankorder.engine.balance_sheet import balance_sheet
-from crankorder.engine.crankshaft import CrankshaftSection, FanCounterweight, crankshaft_sums, two_plane_correction
+from crankorder.engine.shafts import crankshaft_sums, two_plane_correction
 from crankorder.errors import ManyErrors
 from crankorder.settings import shipped
 

@@ -15,7 +15,6 @@ from crankorder.engine.balance_data import (
     GearTrain,
     load_balanced_engine,
 )
-from crankorder.engine.balance_sentences import tolerance_sentences
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.balancing import designs, moments_of
 from crankorder.engine.definition import BalanceShafts, Engine, load_engine
@@ -28,6 +27,7 @@ from crankorder.engine.shafts import (
     with_single_shafts,
 )
 from crankorder.errors import ManyErrors, RequestError
+from crankorder.report.balance.sentences import tolerance_sentences
 
 # Balance shafts of stated unbalance, as the thesis prints them, and the firing engine that it gives no numbers for.
 

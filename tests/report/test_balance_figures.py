@@ -17,6 +17,7 @@ from crankorder.plot.painter import picture_bytes
 from crankorder.report.balance import force_figures as pictures
 from crankorder.report.balance.cycle_figures import cycle_dataset, guide_figure, hinge_figure, loads_figure
 from crankorder.report.balance.dataset import balance_dataset
+from crankorder.report.balance.sentences import balance_sentences, hinge_sentences
 from crankorder.report.balance.text import MISSING, WIDTH, balance_text, hinge_text, shown_orders, text_table
 from crankorder.settings import shipped, toml_table
 from made.texts import overlaps
@@ -213,7 +214,7 @@ def test_an_engine_whose_file_has_counterweights_is_drawn_as_built():
     for engine, name in ((subject.engine, "as built"), (webbed, "as built"), (bare, "no balancing")):
         made = _dataset(replace(subject, engine=engine))
         assert pictures.called(["none"], made) == name
-        told = balance_sheet(replace(subject, engine=engine))["sentences"][0]
+        told = balance_sentences(balance_sheet(replace(subject, engine=engine)))[0]
         assert told.startswith("As built" if name == "as built" else "With no balancing")
 
 
@@ -256,7 +257,8 @@ def test_the_guides_of_both_hinges_are_drawn_to_scale(settings):
 
 
 def _sheet(name, **options):
-    return balance_sheet(load_balanced_engine(name), **options)
+    sheet = balance_sheet(load_balanced_engine(name), **options)
+    return {**sheet, "sentences": balance_sentences(sheet)}
 
 
 def _line(text, start):
@@ -269,7 +271,8 @@ def _line(text, start):
 @pytest.mark.parametrize("speeds", [None, (500.0, 1000.0, 1500.0, 2000.0, 2500.0, 3000.0, 123456.0)])
 def test_no_line_is_wider_than_a_terminal_nothing_is_none_and_all_is_told(name, speeds):
     if name == "elastic-hinge":
-        text = hinge_text(hinge_sheet(load_hinged_engine(name), max_order=8))
+        sheet = hinge_sheet(load_hinged_engine(name), max_order=8)
+        text = hinge_text({**sheet, "sentences": hinge_sentences(sheet)})
     else:
         sheet = _sheet(name, speeds_rpm=speeds, max_order=12)
         text = balance_text(sheet)

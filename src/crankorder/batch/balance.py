@@ -22,6 +22,7 @@ from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.hinge_sheet import hinge_sheet
 from crankorder.engine.hinged_crank import HingedEngine, load_hinged_engine
 from crankorder.errors import RequestError, located
+from crankorder.report.balance.sentences import balance_sentences, hinge_sentences
 from crankorder.report.balance.text import balance_text, hinge_text
 from crankorder.settings import ReportSettings, load_settings, toml_table
 
@@ -58,10 +59,12 @@ def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ())
         subject = load_hinged_engine(engine)
         with overflow:
             sheet = hinge_sheet(subject, max_order=max_order, speeds_rpm=speeds)
+        sheet["sentences"] = hinge_sentences(sheet)
     else:
         subject = load_balanced_engine(engine)
         with overflow, located(source):
             sheet = balance_sheet(subject, max_order=max_order, speeds_rpm=speeds)
+            sheet["sentences"] = balance_sentences(sheet)
         speeds = speeds or subject.balance.speeds_rpm
     balance = Balance(subject=subject, max_order=max_order, speeds_rpm=speeds, sheet=sheet)
     try:

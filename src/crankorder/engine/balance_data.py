@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationInfo, computed_field, field_validator, model_validator
+import numpy as np
+from pydantic import Discriminator, Field, Tag, ValidationInfo, computed_field, field_validator, model_validator
 
-from crankorder.engine.crankshaft import CrankshaftData
 from crankorder.engine.definition import Engine, engine_table, validated
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.gas import firing_intervals_deg
@@ -126,6 +129,203 @@ class UnbalanceClass(EngineData):
 
     name: Annotated[str, Field(min_length=1)]
     limit_g_mm: Positive
+
+
+class CrankshaftSection(EngineData):
+    """A section of the crankshaft: mass (kg) and centre of gravity (mm).
+
+    Across the axis in the directions x and y, y towards the crank pin, and along the axis (z) from the datum in the
+    middle of the first main bearing.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    mass_kg: NonNegative
+    x_mm: float
+    y_mm: float
+    z_mm: float
+
+
+class FanCounterweight(EngineData):
+    """A counterweight shaped as a fan, opposite to the crank pin: outer and inner radius, thickness, full fan angle.
+
+    ``z_mm``: place of its middle along the axis. ``angle_deg``: how far its middle stands on from opposite to the pin,
+    in the sense of rotation.
+    """
+
+    name: Annotated[str, Field(min_length=1)] = "fan"
+    shape: Literal["fan"] = "fan"
+    radius_mm: Positive
+    inner_radius_mm: NonNegative = 0.0
+    thickness_mm: Positive
+    fan_angle_deg: Annotated[float, Field(gt=0, lt=360)]
+    density_kg_m3: Positive
+    z_mm: float = 0.0
+    angle_deg: float = 0.0
+
+    @field_validator("inner_radius_mm")
+    @classmethod
+    def _below_the_outer(cls, value: float, info: ValidationInfo) -> float:
+        outer = info.data.get("radius_mm")
+        if outer is not None and value >= outer:
+            raise ValueError("the inner radius of a fan must be below its radius_mm")
+        return value
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass."""
+        ring = (self.radius_mm - self.inner_radius_mm) * (self.radius_mm + self.inner_radius_mm)
+        volume_mm3 = math.radians(self.fan_angle_deg) / 2 * ring * self.thickness_mm
+        return 1e-9 * self.density_kg_m3 * volume_mm3
+
+    @property
+    def centroid_mm(self) -> float:
+        """Distance of the centre of gravity from the axis."""
+        outer, inner = self.radius_mm, self.inner_radius_mm
+        reach = (outer * outer + outer * inner + inner * inner) / (outer + inner)
+        return 2 / 3 * reach * float(np.sinc(self.fan_angle_deg / 360))
+
+    @property
+    def unbalance_kg_mm(self) -> float:
+        """Mass times distance of the centre of gravity."""
+        return self.mass_kg * self.centroid_mm
+
+    @property
+    def sensitivity(self) -> dict[Literal["radius", "thickness", "fan_angle"], float]:
+        """Per cent of unbalance that one per cent more of each size adds: what is most worth changing."""
+        half = math.radians(self.fan_angle_deg) / 2
+        share = (self.inner_radius_mm / self.radius_mm) ** 3
+        return {"radius": 3 / (1 - share), "thickness": 1.0, "fan_angle": half / math.tan(half)}
+
+    @property
+    def section(self) -> CrankshaftSection:
+        """The counterweight as a section of its crankshaft."""
+        centre = -1j * self.centroid_mm * cmath.exp(-1j * math.radians(self.angle_deg))
+        return CrankshaftSection(
+            name=self.name, mass_kg=self.mass_kg, x_mm=centre.real, y_mm=centre.imag, z_mm=self.z_mm
+        )
+
+    def resized(self, unbalance_kg_mm: float) -> dict[str, float | None]:
+        """The radius (mm), the thickness (mm) or the fan angle (degrees) that alone gives another unbalance.
+
+        ``unbalance_kg_mm``: wanted, > 0. None for a fan angle where half a turn of fan is too little. The unbalance is
+        ⅔ density · thickness · (radius³ − inner radius³) · sin(fan angle / 2).
+        """
+        more = unbalance_kg_mm / self.unbalance_kg_mm
+        inner = self.inner_radius_mm**3
+        sine = more * math.sin(math.radians(self.fan_angle_deg) / 2)
+        wider = 2 * math.degrees(math.asin(sine)) if sine <= 1 else None
+        if wider is not None and self.fan_angle_deg > 180:
+            wider = 360 - wider
+        return {
+            "radius_mm": (inner + more * (self.radius_mm**3 - inner)) ** (1 / 3),
+            "thickness_mm": more * self.thickness_mm,
+            "fan_angle_deg": wider,
+        }
+
+
+class Slug(EngineData):
+    """A round slug of heavier metal in the counterweight ``into``: its centre ``radius_mm`` from the axis.
+
+    It takes the place of crank metal, ``crank_density_kg_m3``; left out where ``into`` is a fan, which states its own.
+    """
+
+    into: Annotated[str, Field(min_length=1)]
+    diameter_mm: Positive
+    length_mm: Positive
+    radius_mm: Positive
+    density_kg_m3: Positive
+    crank_density_kg_m3: Positive | None = None
+
+
+Counterweight = Annotated[
+    Annotated[str, Tag("section")] | Annotated[FanCounterweight, Tag("fan")],
+    Discriminator(lambda value: "section" if isinstance(value, str) else "fan"),
+]
+"""A counterweight of a file: the name of one of the sections, or a table of its shape."""
+
+
+class CrankshaftData(EngineData):
+    """Sections of a crankshaft, its counterweights in order along it, slugs, and the overbalance left for machining.
+
+    ``counterweights``: names of sections, or fans; corrections are made in the first and the last.
+    ``overbalance_kg_mm``: least and most that the counterweights are to have too much, for the balancing machine to
+    take away. ``bob_weight``: the section that stands for the big end of the rod, so that what the rod really has can
+    be put in its place.
+    """
+
+    sections: Annotated[tuple[CrankshaftSection, ...], NOT_EMPTY] = Field(strict=False)
+    counterweights: tuple[Counterweight, ...] = Field(strict=False)
+    slugs: tuple[Slug, ...] = Field(default=(), strict=False)
+    overbalance_kg_mm: tuple[NonNegative, NonNegative] | None = Field(default=None, strict=False)
+    bob_weight: str | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        names = [section.name for section in self.sections] + [fan.name for fan in self.fans.values()]
+        wanted = [name for name in self.counterweights if isinstance(name, str)]
+        wanted += [self.bob_weight] if self.bob_weight is not None else []
+        missing = [name for name in wanted if names.count(name) != 1]
+        if missing:
+            raise ValueError(f"counterweights and bob weight must each name one section; not so: {', '.join(missing)}")
+        twice = sorted({fan for fan in self.fans if names.count(fan) > 1})
+        if twice:
+            raise ValueError(f"more than one section is called {', '.join(twice)}")
+        if len(self.counterweights) < 2:
+            raise ValueError("a crankshaft needs two counterweights or more, to be corrected in two planes")
+        places = self.places
+        if any(after <= before for before, after in pairwise(places.values())):
+            shown = ", ".join(f"{name} {place:g} mm" for name, place in places.items())
+            raise ValueError(f"counterweights must ascend along the axis, no two in one plane: {shown}")
+        for slug in self.slugs:
+            if slug.into not in places:
+                raise ValueError(f"a slug must sit in one of the counterweights; not so: {slug.into}")
+            if slug.crank_density_kg_m3 is None and slug.into not in self.fans:
+                raise ValueError(
+                    f"the slug in {slug.into} needs crank_density_kg_m3, of the metal whose place it takes"
+                )
+            fan = self.fans.get(slug.into)
+            if fan is None and not any(part.name == slug.into and (part.x_mm or part.y_mm) for part in self.sections):
+                raise ValueError(f"{slug.into} has its centre of gravity in the axis: a slug in it has no direction")
+            if fan is not None and slug.length_mm > fan.thickness_mm:
+                raise ValueError(f"the slug in {slug.into} is longer than the counterweight is thick")
+            if fan is not None and slug.radius_mm + slug.diameter_mm / 2 > fan.radius_mm:
+                raise ValueError(f"the slug in {slug.into} stands out of the counterweight's radius")
+        return self
+
+    @cached_property
+    def fans(self) -> dict[str, FanCounterweight]:
+        """The counterweights that are given by their shape, by name."""
+        return {fan.name: fan for fan in self.counterweights if isinstance(fan, FanCounterweight)}
+
+    @property
+    def places(self) -> dict[str, float]:
+        """Place of each counterweight along the crankshaft (mm), by name; it is corrected in the first and the last."""
+        by_name = {section.name: section.z_mm for section in self.sections}
+        return {
+            (weight if isinstance(weight, str) else weight.name): (
+                by_name[weight] if isinstance(weight, str) else weight.z_mm
+            )
+            for weight in self.counterweights
+        }
+
+    @cached_property
+    def parts(self) -> tuple[CrankshaftSection, ...]:
+        """Every part of the crankshaft: the sections, the fans, and what each slug adds to its counterweight."""
+        fans = [fan.section for fan in self.fans.values()]
+        holders = {part.name: part for part in (*self.sections, *fans)}
+        return (*self.sections, *fans, *(_slug_section(slug, holders[slug.into], self.fans) for slug in self.slugs))
+
+
+def _slug_section(slug: Slug, holder: CrankshaftSection, fans: Mapping[str, FanCounterweight]) -> CrankshaftSection:
+    """What ``slug`` adds, as a section: the mass that it has more than the metal whose place it takes."""
+    crank_density = slug.crank_density_kg_m3 or fans[slug.into].density_kg_m3
+    volume_mm3 = math.pi / 4 * slug.diameter_mm**2 * slug.length_mm
+    added = 1e-9 * volume_mm3 * (slug.density_kg_m3 - crank_density) * slug.radius_mm
+    out = complex(holder.x_mm, holder.y_mm)
+    centre = math.copysign(slug.radius_mm, added) * out / abs(out)
+    name = f"Slug in {slug.into}"
+    mass_kg = abs(added) / slug.radius_mm
+    return CrankshaftSection(name=name, mass_kg=mass_kg, x_mm=centre.real, y_mm=centre.imag, z_mm=holder.z_mm)
 
 
 class ShaftPart(EngineData):

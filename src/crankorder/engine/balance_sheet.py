@@ -1,4 +1,4 @@
-"""The balance sheet of an engine: one document with the tables that a designer wants, and sentences on what remains.
+"""The balance sheet of an engine: one document with all that a designer wants to know.
 
 ``data_schema/balance.json`` says what each of its keys is. Text, JSON, dataset and pictures are made of it and of the
 engines that :func:`crankorder.engine.balancing.systems` gives.
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import BalancedEngine, ShaftPairParts, UnbalanceClass
-from crankorder.engine.balance_sentences import balance_sentences
 from crankorder.engine.balancing import (
     POSSIBILITIES,
     SHAFTS,
@@ -35,12 +34,12 @@ from crankorder.engine.balancing import (
     systems,
     throw_counterweights,
 )
-from crankorder.engine.crankshaft import crankshaft_balance
 from crankorder.engine.cycle_tables import cycle_balance
 from crankorder.engine.definition import BalanceShafts, Engine, Weight
 from crankorder.engine.forces import Amounts, newton, speed_key
 from crankorder.engine.shafts import (
     Series,
+    crankshaft_balance,
     gear_speed_ratios,
     series_residuals,
     tolerance_study,
@@ -80,7 +79,7 @@ def balance_sheet(subject: BalancedEngine, *, max_order: int = 8, speeds_rpm: Se
     force, moment = left["none"]["residual_g_mm"], left["none"]["residual_moment_g_mm2"]
     rotates = any(cylinder.rotating_unbalance_kg_m for cylinder in engine.each)
     several = [] if single else ["Masses are those of each cylinder; couples are counted from position 0."]
-    sheet = {
+    return {
         "engine": engine.title or subject.name,
         "lambda": engine.mechanism.crank_ratio,
         "harmonics": _harmonics(engine.mechanism, max_order),
@@ -114,7 +113,6 @@ def balance_sheet(subject: BalancedEngine, *, max_order: int = 8, speeds_rpm: Se
         "reverse_cranks": _reverse_cranks(subject, speeds) if single else None,
         "notes": [*data.notes, *several],
     }
-    return {**sheet, "sentences": balance_sentences(sheet, speed_rpm=max(speeds))}
 
 
 def _check(engine: Engine, max_order: int, speeds: Sequence[float]) -> None:

@@ -64,7 +64,6 @@ def hinge_sheet(engine: HingedEngine, *, max_order: int, speeds_rpm: Sequence[fl
     ``engine``: torque curve and mechanisms. ``max_order``: highest harmonic of the torque, ≥ 1. ``speeds_rpm``: crank
     speeds, > 0; those of each mechanism where left out. Raises RequestError where a mechanism has no speed.
     """
-    mechanisms = [_mechanism(data, engine.curve, speeds_rpm) for data in engine.mechanisms]
     slender = any(data.rod_inertia_kg_m2 is None for data in engine.mechanisms)
     orders, curve = np.arange(1, max_order + 1), engine.curve
     amplitudes = np.abs(torque_harmonics(orders, curve))
@@ -81,9 +80,8 @@ def hinge_sheet(engine: HingedEngine, *, max_order: int, speeds_rpm: Sequence[fl
             ],
             "harmonics_nm": {str(order): float(value) for order, value in zip(orders, amplitudes, strict=True)},
         },
-        "mechanisms": mechanisms,
+        "mechanisms": [_mechanism(data, curve, speeds_rpm) for data in engine.mechanisms],
         "notes": ["Rods without a stated moment of inertia are taken as uniform and slender."] if slender else [],
-        "sentences": [_sentence(mechanism) for mechanism in mechanisms],
     }
 
 
@@ -209,14 +207,3 @@ def _characteristic(crank: HingedCrank, curve: CrankTorque, joint: Joint, speed_
         "moment_nm": table.moment_nm.tolist(),
         "work_j": np.where(np.abs(table.work_j) > dust, table.work_j, 0.0).tolist(),
     }
-
-
-def _sentence(mechanism: Sheet) -> str:
-    without = mechanism["side_force_without_hinge_n"]
-    speed = max(without, key=float)
-    left, printed = (mechanism["side_force_n"][kind] for kind in ("potential", "printed"))
-    return (
-        f"{mechanism['name']}: without a hinge the piston is pressed against its wall with up to "
-        f"{without[speed]:.4g} N at {float(speed):.4g} rpm; a hinge that can be a spring leaves {left:.4g} N at "
-        f"every speed (one after equation (6), whose work is not zero, {printed:.4g} N)."
-    )

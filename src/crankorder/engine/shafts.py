@@ -1,24 +1,114 @@
-"""What errors leave of a balanced engine: of the gears of direct and reverse cranks, and of a series of engines."""
+"""Balance of the crankshaft to itself, direct and reverse cranks, and what errors leave of gears and of a series.
+
+Source of the first: Ruckle 2014, section 3.1.1, table 2 and figure 12.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crankorder.engine.balance_data import BalanceTolerances, GearTolerances, GearTrain
+from crankorder.engine.balance_data import (
+    BalanceTolerances,
+    CrankshaftData,
+    CrankshaftSection,
+    GearTolerances,
+    GearTrain,
+)
 from crankorder.engine.balancing import ONE_RADIAN_PER_S_RPM
 from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, Weight
-from crankorder.engine.forces import Z, crankcase_forces
+from crankorder.engine.forces import Z, crankcase_forces, newton
 from crankorder.engine.slider_crank import Complex, acceleration_harmonics, even_harmonics
 from crankorder.errors import RequestError
 
 Floats = NDArray[np.float64]
 Series = Literal["exact", "leading"]
+
+
+def crankshaft_sums(sections: Sequence[CrankshaftSection]) -> tuple[complex, complex]:
+    """Static (kg·mm) and dynamic (kg·mm²) sum of a crankshaft, each as x + iy; the second about the datum.
+
+    ``sections``: its parts, the bob weight on the pin among them. Both sums must vanish for a shaft in balance; the
+    dynamic one depends on the datum unless the static one vanishes. Source: Ruckle 2014, equations (5) to (8), table 2.
+    """
+    arms = [section.mass_kg * complex(section.x_mm, section.y_mm) for section in sections]
+    return sum(arms, 0j), sum((arm * section.z_mm for arm, section in zip(arms, sections, strict=True)), 0j)
+
+
+def two_plane_correction(sums: tuple[complex, complex], planes_mm: tuple[float, float]) -> tuple[complex, complex]:
+    """Unbalance (kg·mm, x + iy) to add in each of two planes so that both sums vanish.
+
+    ``sums``: static and dynamic. ``planes_mm``: places of the planes along the axis, from the datum of the sums; not
+    the same.
+    """
+    (static, dynamic), (first, second) = sums, planes_mm
+    in_second = (first * static - dynamic) / (second - first)
+    return -static - in_second, in_second
+
+
+def _axes(amount: complex) -> dict[str, float]:
+    return {"x": amount.real, "y": amount.imag}
+
+
+def _sums(sections: Sequence[CrankshaftSection]) -> dict[str, dict[str, float]]:
+    static, dynamic = crankshaft_sums(sections)
+    return {"static_kg_mm": _axes(static), "dynamic_kg_mm2": _axes(dynamic)}
+
+
+def crankshaft_balance(
+    data: CrankshaftData, speeds: Mapping[str, float], *, big_ends_g: Mapping[str, float]
+) -> dict[str, Any]:
+    """Balance of the crankshaft ``data`` by itself, as the balance sheet has it.
+
+    ``speeds``: crank speeds (rpm) by the text that names each. ``big_ends_g``: masses of the rod's big end (g) by the
+    method that gave each; every one is put in the place of the bob weight, if there is one.
+    Source: Ruckle 2014, table 2.
+    """
+    static, dynamic = sums = crankshaft_sums(data.parts)
+    towards, wanted = -static.imag, data.overbalance_kg_mm
+    (first, first_mm), *_, (last, last_mm) = data.places.items()
+    at_first, at_last = two_plane_correction(sums, (first_mm, last_mm))
+    return {
+        "sections": [part.model_dump() | _sums([part]) for part in data.parts],
+        **_sums(data.parts),
+        "couple_Nm_at_rpm": {key: newton(abs(dynamic), speed_rpm) for key, speed_rpm in speeds.items()},
+        "planes": [_plane(data, first, at_first), _plane(data, last, at_last)],
+        "overbalance_kg_mm": None if wanted is None else list(wanted),
+        "overbalanced_by_kg_mm": towards,
+        "overbalance_met": None if wanted is None else wanted[0] <= towards <= wanted[1],
+        "bob_weights": _bob_weights(data, big_ends_g),
+    }
+
+
+def _plane(data: CrankshaftData, name: str, added: complex) -> dict[str, Any]:
+    """The first or the last counterweight: its unbalance, slugs included, and the one that balances the crankshaft."""
+    has, _ = crankshaft_sums([part for part in data.parts if part.name in (name, f"Slug in {name}")])
+    fan, sizes = data.fans.get(name), None
+    if fan is not None:
+        slugs = has - crankshaft_sums([fan.section])[0]
+        names = ("mass_kg", "centroid_mm", "unbalance_kg_mm", "sensitivity")
+        sizes = {key: getattr(fan, key) for key in names} | {"resized": fan.resized(abs(has + added - slugs))}
+    amounts = {"has_kg_mm": has, "correction_kg_mm": added, "needs_kg_mm": has + added}
+    by_axis = {key: _axes(amount) for key, amount in amounts.items()}
+    return {"name": name, "z_mm": data.places[name], **by_axis, "fan": sizes}
+
+
+def _bob_weights(data: CrankshaftData, big_ends_g: Mapping[str, float]) -> list[dict[str, Any]] | None:
+    """Sums of the crankshaft by mass of the rod's big end in the place of its bob weight, the stated one first."""
+    if data.bob_weight is None:
+        return None
+    bob = next(part for part in data.parts if part.name == data.bob_weight)
+    others = [part for part in data.parts if part is not bob]
+    masses_kg = {"stated": bob.mass_kg, **{method: 1e-3 * grams for method, grams in big_ends_g.items()}}
+    return [
+        {"method": method, "mass_kg": mass_kg, **_sums([*others, bob.model_copy(update={"mass_kg": mass_kg})])}
+        for method, mass_kg in masses_kg.items()
+    ]
 
 
 def gear_speed_ratios(train: GearTrain) -> dict[str, float]:

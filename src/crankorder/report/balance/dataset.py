@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 
 from crankorder.engine.balance_data import BalancedEngine
-from crankorder.engine.balance_sentences import plain_state
 from crankorder.engine.balancing import (
     MOMENT_AXES,
     ONE_RADIAN_PER_S_RPM,
@@ -23,6 +22,7 @@ from crankorder.engine.balancing import (
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_moments, unbalance_force_n
 from crankorder.quantities import Complexes, Floats
+from crankorder.report.balance.sentences import plain_state
 
 SYSTEMS: dict[str, str] = {
     "none": "no balancing",

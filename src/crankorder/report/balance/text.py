@@ -6,13 +6,13 @@ Tables and paragraphs of plain text for a terminal are aligned, and never wider 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-from crankorder.engine.balance_sentences import plain_state
 from crankorder.engine.forces import newton
 from crankorder.errors import printable
 from crankorder.plot.reading import number_text
+from crankorder.report.balance.sentences import plain_state, single_causes
 
 WIDTH = 100
 """Columns of the widest line."""
@@ -413,33 +413,11 @@ def _gears(sheet: Part) -> list[str]:
 def _single_causes(sheet: Part) -> list[str]:
     """Force over ω² and at every speed that each single cause leaves, with its class of unbalance."""
 
-    def causes() -> Iterator[tuple[str, str, str, float, str | None]]:
-        """Cause, axis, order, amount (g·mm) and class; causes without data make no row."""
-        built, rod, added = sheet["shafts"]["second_order_built_for_lambda"], sheet["rod_split"], sheet["added_mass"]
-        offset, cranks = sheet["offset"], sheet["reverse_cranks"]
-        if built is not None:
-            yield "second-order pair built for λ, not A2", "along", "2", built["residual_x_g_mm"], None
-        if rod is not None:
-            for text, key in (("along", "residual_x_g_mm"), ("across", "residual_y_g_mm")):
-                for order, amount in rod[key].items():
-                    yield "rod as weighed, balanced as cut", text, order, amount, None
-        if added is not None:
-            cause = f"{short_number(added['mass_g'])} g that no shaft knows"
-            for order, amount in list(added["residual_x_g_mm"].items())[:3]:
-                yield cause, "along", order, amount, added["class"] if order == "1" else None
-        if offset is not None:
-            cause = f"offset of {short_number(offset['offset_mm'])} mm, shafts timed to crank"
-            yield cause, "along", "1", offset["quadrature_x_g_mm"], None
-        if cranks is not None:
-            for series, text in (("exact", "exact"), ("leading", "built for λ")):
-                amount = cranks["residual_x_g_mm"][series]
-                yield f"direct and reverse cranks, {text}", "along", "all", amount, None
-
     speeds = list(sheet["force_n"])
     heads = ["What remains", "axis", "order", "g·mm", *(f"N at {speed} rpm" for speed in speeds), "class"]
     rows = [
         [cause, axis, order, amount, *(newton(amount, float(speed)) for speed in speeds), grade]
-        for cause, axis, order, amount, grade in causes()
+        for cause, axis, order, amount, grade in single_causes(sheet)
     ]
     return text_table("Residuals of single causes", heads, rows, kept=3)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from crankorder.engine.forces import newton, speed_key
@@ -36,11 +36,12 @@ def plain_state(sheet: Part) -> str:
     return "as built" if sheet["shafts"]["own"] is None else "without its shafts"
 
 
-def balance_sentences(sheet: Part, *, speed_rpm: float) -> list[str]:
+def balance_sentences(sheet: Part) -> list[str]:
     """What remains unbalanced in sentences, the plain engine first.
 
-    ``sheet``: of the engine. ``speed_rpm``: crank speed at which forces are named.
+    ``sheet``: of the engine; forces are named at the highest of its speeds.
     """
+    speed_rpm = max(map(float, sheet["force_n"]))
     where = CYLINDER if sheet["strategies"] else FRAME
     state, force = plain_state(sheet), _amounts(sheet["force_g_mm"], speed_rpm, where=where)
     shakes = "no force shakes the engine" if force == _NO_FORCE else f"the engine shakes with {force}"
@@ -52,7 +53,7 @@ def balance_sentences(sheet: Part, *, speed_rpm: float) -> list[str]:
         f"At {key} rpm a piston moves at {mean} m/s in the mean and {fastest} m/s at most, at "
         f"{piston['fastest_deg']:.4g}° after its dead centre.",
     ]
-    parts = {**sheet, "pairs": sheet["shafts"]["pairs"]}
+    parts = {**sheet, "pairs": sheet["shafts"]["pairs"], "single_causes": sheet}
     for name, of_part in _OF_PARTS.items():
         sentences += of_part(parts[name], speed_rpm) if parts[name] else []
     return sentences
@@ -176,10 +177,6 @@ def _of_shafts(shafts: Part, speed_rpm: float) -> list[str]:
         f"{_amounts(layout['residual_g_mm'], speed_rpm, most=1)} first of all."
         for name, layout in sets.items()
     ]
-    built = shafts["second_order_built_for_lambda"]
-    if built is not None:
-        left = _amount(built["residual_x_g_mm"], speed_rpm)
-        sentences.append(f"A second-order pair built for the crank ratio instead of A2 leaves {left}.")
     own = shafts["own"]
     if own is not None:
         left = _amounts(own["residual_g_mm"], speed_rpm, most=4, where=CYLINDER if sets else FRAME)
@@ -313,36 +310,48 @@ def _of_crankshaft(crankshaft: Part, speed_rpm: float) -> list[str]:
     return sentences
 
 
-def _of_rod(rod: Part, speed_rpm: float) -> list[str]:
-    along, across = rod["residual_x_g_mm"], rod["residual_y_g_mm"]
-    return [
-        f"Balanced for the rod as cut, the rod as weighed leaves {_amount(across['1'], speed_rpm)} of "
-        f"order 1 across the cylinder, {_amount(along['1'], speed_rpm)} along it, and "
-        f"{_amount(along['2'], speed_rpm)} of order 2 too much."
-    ]
+def single_causes(sheet: Part) -> Iterator[tuple[str, str, str, float, str | None]]:
+    """Cause, axis, order, amount (g·mm over ω²) and class of unbalance of what single causes leave of one cylinder."""
+    built, rod, added = sheet["shafts"]["second_order_built_for_lambda"], sheet["rod_split"], sheet["added_mass"]
+    offset, cranks = sheet["offset"], sheet["reverse_cranks"]
+    if built is not None:
+        yield "second-order pair built for λ, not A2", "along", "2", built["residual_x_g_mm"], None
+    if rod is not None:
+        for axis, key in (("along", "residual_x_g_mm"), ("across", "residual_y_g_mm")):
+            for order, amount in rod[key].items():
+                yield "rod as weighed, balanced as cut", axis, order, amount, None
+    if added is not None:
+        cause = f"{added['mass_g']:g} g that no shaft knows"
+        for order, amount in list(added["residual_x_g_mm"].items())[:3]:
+            yield cause, "along", order, amount, (added["class"] or "beyond all named") if order == "1" else None
+    if offset is not None:
+        cause = f"offset of {offset['offset_mm']:g} mm, shafts timed to crank"
+        yield cause, "along", "1", offset["quadrature_x_g_mm"], None
+    if cranks is not None:
+        for series, text in (("exact", "exact"), ("leading", "built for λ")):
+            yield f"direct and reverse cranks, {text}", "along", "all", cranks["residual_x_g_mm"][series], None
 
 
-def _of_added_mass(added: Part, speed_rpm: float) -> list[str]:
-    left = _amounts({"x": added["residual_x_g_mm"], "y": None}, speed_rpm)
-    beyond = "beyond every class of engines named" if added["class"] is None else f"within the class {added['class']}"
-    return [f"The {added['mass_g']:g} g that no shaft knows leave {left}, {beyond}."]
+def _of_single_causes(sheet: Part, speed_rpm: float) -> list[str]:
+    """A sentence for each single cause with all that it leaves."""
+    left: dict[str, list[str]] = {}
+    for cause, axis, order, amount, grade in single_causes(sheet):
+        which = "of all orders" if order == "all" else f"of order {order}"
+        kept = "" if grade is None else f" (class: {grade})"
+        left.setdefault(cause, []).append(f"{_amount(amount, speed_rpm)} {which} {axis} the cylinder{kept}")
+    return [_capital(f"{cause}: {listed(amounts)}.") for cause, amounts in left.items()]
 
 
 def _of_offset(offset: Part, speed_rpm: float) -> list[str]:
     couple = offset["couple_Nm_at_rpm"][speed_key(speed_rpm)]
     return [
-        f"An offset of {offset['offset_mm']:g} mm leaves {_amount(offset['quadrature_x_g_mm'], speed_rpm)} of order 1 "
-        f"beside shafts for the whole reciprocating mass timed to the crank; {abs(offset['rephasing_deg']):.2f}° of "
-        f"re-phasing end it, but not the couples of {couple['1']:.3g} and {couple['2']:.3g} N·m of orders 1 and 2."
+        f"The shafts of an offset cylinder balance its order 1 if re-phased by {abs(offset['rephasing_deg']):.2f}°, "
+        f"but not the couples of {couple['1']:.3g} and {couple['2']:.3g} N·m of orders 1 and 2."
     ]
 
 
 def _of_reverse_cranks(cranks: Part, speed_rpm: float) -> list[str]:
-    exact, leading = (_amount(cranks["residual_x_g_mm"][series], speed_rpm) for series in ("exact", "leading"))
-    sentences = [
-        "Direct and reverse cranks leave nothing across the cylinder at any angle, and along it "
-        f"{exact} at most ({leading} if built for the crank ratio)."
-    ]
+    sentences = ["Direct and reverse cranks leave nothing across the cylinder at any angle."]
     if cranks["couple_g_mm2"] > 0:
         couple = _newton_metres(cranks["couple_g_mm2"], speed_rpm)
         at = f"{speed_key(speed_rpm)} rpm"
@@ -355,6 +364,21 @@ def _of_reverse_cranks(cranks: Part, speed_rpm: float) -> list[str]:
     return sentences
 
 
+def hinge_sentences(sheet: Part) -> list[str]:
+    """What side force each mechanism of a hinge ``sheet`` has without a hinge and with one."""
+    sentences = []
+    for mechanism in sheet["mechanisms"]:
+        without = mechanism["side_force_without_hinge_n"]
+        speed = max(without, key=float)
+        left, printed = (mechanism["side_force_n"][kind] for kind in ("potential", "printed"))
+        sentences.append(
+            f"{mechanism['name']}: without a hinge the piston is pressed against its wall with up to "
+            f"{without[speed]:.4g} N at {float(speed):.4g} rpm; a hinge that can be a spring leaves {left:.4g} N at "
+            f"every speed (one after equation (6), whose work is not zero, {printed:.4g} N)."
+        )
+    return sentences
+
+
 _OF_PARTS: dict[str, Callable[[Any, float], list[str]]] = {
     "cycle": _of_cycle,
     "strategies": _of_strategies,
@@ -363,8 +387,7 @@ _OF_PARTS: dict[str, Callable[[Any, float], list[str]]] = {
     "tolerance": tolerance_sentences,
     "pairs": _of_pairs,
     "crankshaft": _of_crankshaft,
-    "rod_split": _of_rod,
-    "added_mass": _of_added_mass,
+    "single_causes": _of_single_causes,
     "offset": _of_offset,
     "reverse_cranks": _of_reverse_cranks,
 }
