@@ -7,32 +7,32 @@ import pytest
 
 from crankorder.engine.elastic_hinge import (
     Joint,
-    PinHinge,
     air_spring,
     balanced_crank,
-    branch_quadrature,
     hinge_guides,
-    hinge_moment,
+    hinge_sheet,
     hinge_table,
-    mean_rod_cosine,
     pin_hinge_work,
     reduced_inertia,
     shaking_force,
-    side_force,
     strut_hinge_moment,
     strut_hinge_work,
     vertical_counterweight,
     weight_without_side_force,
 )
-from crankorder.engine.hinge_sheet import hinge_sheet
 from crankorder.engine.hinged_crank import (
     CrankTorque,
     GuideData,
     HingedCrank,
+    PinHinge,
     TorqueBranch,
+    branch_quadrature,
+    hinge_moment,
     load_hinged_engine,
+    mean_rod_cosine,
     potential_torque,
     rod_motion,
+    side_force,
 )
 from crankorder.errors import ManyErrors, RequestError
 

@@ -15,10 +15,14 @@ from crankorder.engine.forces import (
     crankcase_forces,
     crankcase_moments,
     cylinder_loads,
+    firing_angle_deg,
+    firing_intervals_deg,
+    gas_force,
+    gas_torque,
+    gas_torque_by_order,
     inertia_torque_by_order,
     main_bearing_loads,
 )
-from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.slider_crank import rod_angle
 from crankorder.errors import RequestError
 

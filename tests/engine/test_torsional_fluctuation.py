@@ -7,8 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from crankorder.engine.definition import Cylinder, Engine, GasCurve
-from crankorder.engine.forces import inertia_torque_by_order
-from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.forces import gas_torque_by_order, inertia_torque_by_order
 from crankorder.engine.torsional_fluctuation import Lag, lag_from_torque
 from crankorder.errors import RequestError
 from crankorder.synth.motion import Motion

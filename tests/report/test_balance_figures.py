@@ -9,8 +9,8 @@ from matplotlib.text import Text
 from crankorder.engine.balance_data import balanced_engine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.definition import Weight
+from crankorder.engine.elastic_hinge import hinge_sheet
 from crankorder.engine.forces import unbalance_force_n
-from crankorder.engine.hinge_sheet import hinge_sheet
 from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.engine.slider_crank import plain_piston_acceleration
 from crankorder.plot.painter import picture_bytes

@@ -19,7 +19,7 @@ from crankorder.batch.result_folder import publish
 from crankorder.batch.store import text_sha256
 from crankorder.engine.balance_data import BalancedEngine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
-from crankorder.engine.hinge_sheet import hinge_sheet
+from crankorder.engine.elastic_hinge import hinge_sheet
 from crankorder.engine.hinged_crank import HingedEngine, load_hinged_engine
 from crankorder.errors import RequestError, located
 from crankorder.report.balance.sentences import balance_sentences, hinge_sentences

@@ -15,8 +15,7 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, ValidationInfo, computed_field, field_validator, model_validator
 
 from crankorder.engine.definition import Engine, engine_table, validated
-from crankorder.engine.forces import crankcase_forces
-from crankorder.engine.gas import firing_intervals_deg
+from crankorder.engine.forces import crankcase_forces, firing_intervals_deg
 from crankorder.engine.machine_parts import ASCENDING, NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.engine.balance_data import BalancedEngine, ShaftPairParts, UnbalanceClass
+from crankorder.engine.balance_data import BalancedEngine, GearTolerances, GearTrain, ShaftPairParts, UnbalanceClass
 from crankorder.engine.balancing import (
     POSSIBILITIES,
     SHAFTS,
@@ -449,23 +449,14 @@ def _reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet |
         "transverse_g_mm": across,
         "residual_x_g_mm": residual,
         "residual_x_n": {series: _by_speed(amount, speeds) for series, amount in residual.items()},
-        "tolerances": _gear_errors(subject),
+        "tolerances": None if train.tolerances is None else _gear_errors(train, engine, train.tolerances),
     }
 
 
-def _gear_errors(subject: BalancedEngine) -> Sheet | None:
+def _gear_errors(train: GearTrain, engine: Engine, tolerances: GearTolerances) -> Sheet:
     """Median and 95 % bound of what sampled gear errors leave, by order."""
-    train = subject.balance.gears
-    if train is None or train.tolerances is None:
-        return None
-    study = tolerance_study(train, subject.engine, train.tolerances)
-    return {
-        "errors": train.tolerances.model_dump(),
-        **{
-            what: {
-                order: {"median": float(np.quantile(sizes, 0.5)), "95 %": float(np.quantile(sizes, 0.95))}
-                for order, sizes in by_order.items()
-            }
-            for what, by_order in study.items()
-        },
-    }
+    errors: Sheet = {"errors": tolerances.model_dump()}
+    for what, by_order in tolerance_study(train, engine, tolerances).items():
+        both = {order: np.quantile(sizes, [0.5, 0.95]).tolist() for order, sizes in by_order.items()}
+        errors[what] = {order: {"median": middle, "95 %": high} for order, (middle, high) in both.items()}
+    return errors

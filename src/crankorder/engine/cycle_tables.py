@@ -14,11 +14,15 @@ from crankorder.engine.forces import (
     Amounts,
     CylinderLoads,
     cylinder_loads,
+    firing_angle_deg,
+    firing_intervals_deg,
+    gas_force,
+    gas_torque,
+    gas_torque_by_order,
     inertia_torque,
     main_bearing_loads,
     speed_key,
 )
-from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.slider_crank import Complex, last_order_above_round_off
 from crankorder.engine.torsional_fluctuation import Floats, lag_from_torque, over_a_cycle
 from crankorder.errors import RequestError

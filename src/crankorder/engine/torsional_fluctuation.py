@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import inertia_torque
-from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.forces import gas_torque_by_order, inertia_torque
 from crankorder.engine.slider_crank import Complex
 from crankorder.errors import RequestError
 

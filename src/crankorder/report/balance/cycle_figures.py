@@ -17,24 +17,18 @@ from matplotlib.patches import Circle
 
 from crankorder.engine.cycle_tables import cycle_curves
 from crankorder.engine.definition import Engine
-from crankorder.engine.elastic_hinge import (
-    Guides,
-    Joint,
-    hinge_guides,
-    hinge_moment,
-    hinge_table,
-    side_force,
-    side_force_without_hinge,
-)
+from crankorder.engine.elastic_hinge import GUIDE_STEPS, Guides, Joint, hinge_guides, hinge_table
 from crankorder.engine.forces import speed_key
-from crankorder.engine.hinge_sheet import GUIDE_STEPS
 from crankorder.engine.hinged_crank import (
     CrankTorque,
     GuideData,
     HingedCrankData,
     HingedEngine,
     crank_torque,
+    hinge_moment,
     potential_torque,
+    side_force,
+    side_force_without_hinge,
     torque_extrema,
 )
 from crankorder.plot.drawing import Box
