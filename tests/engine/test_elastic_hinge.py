@@ -74,16 +74,22 @@ def test_m12_is_the_true_one(crank, expected):
     np.testing.assert_allclose(moment, reference, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("pin_hinge", "is_spring"), [("potential", True), ("printed", False)])
-def test_only_the_corrected_characteristic_does_no_work_over_its_own_angle(crank, pin_hinge, is_spring):
+@pytest.mark.parametrize("pin_hinge", ["full", "potential", "printed"])
+def test_work_is_the_closed_form_at_every_speed_and_nothing_over_the_hinge_angle_of_a_spring_alone(crank, pin_hinge):
     angle_rev, weight = branch_quadrature(crank, CURVE)
-    moment = hinge_moment(angle_rev, crank, CURVE, speed_rpm=100 * RPM, pin_hinge=pin_hinge)
-    over_hinge = 2 * np.pi * float(weight @ (moment * rod_motion(angle_rev, crank).hinge_rate))
-    over_crank = 2 * np.pi * float(weight @ moment)
-    scale = 1e-12 * np.abs(moment).max()
-    assert (abs(over_hinge) < scale) == is_spring
-    assert (abs(over_crank) < scale) != is_spring
-    assert over_hinge == pytest.approx(pin_hinge_work(crank, CURVE, pin_hinge=pin_hinge), abs=scale)
+    for omega in (100.0, 500.0):
+        options = {"speed_rpm": omega * RPM, "pin_hinge": pin_hinge}
+        moment = hinge_moment(angle_rev, crank, CURVE, **options)
+        strut = strut_hinge_moment(angle_rev, crank, CURVE, **options)
+        over_hinge = 2 * np.pi * float(weight @ (moment * rod_motion(angle_rev, crank).hinge_rate))
+        scale = 1e-12 * np.abs(moment).max()
+        assert over_hinge == pytest.approx(pin_hinge_work(crank, CURVE, pin_hinge=pin_hinge), abs=scale)
+        work = 2 * np.pi * float(weight @ strut)
+        closed = strut_hinge_work(crank, CURVE, pin_hinge=pin_hinge)
+        assert work == pytest.approx(closed, abs=1e-13 * np.abs(strut).max() + 1e-11)
+        if pin_hinge != "full":
+            assert (abs(over_hinge) < scale) == (pin_hinge == "potential")
+            assert (abs(2 * np.pi * float(weight @ moment)) < scale) == (pin_hinge == "printed")
 
 
 @pytest.mark.slow
@@ -258,19 +264,6 @@ def test_the_reduced_inertia_is_the_true_one(shared_truth, name):
     # the printed I_giv gives the counterweight of the rod no energy there
     assert float(reduced_inertia(0.25, crank)) == pytest.approx(float(at_90_deg["exact"]), rel=1e-14)
     assert abs(float(reduced_inertia(0.25, crank)) / float(at_90_deg["printed"]) - 1) > 0.1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pin_hinge", HINGES)
-@pytest.mark.parametrize("name", sorted(CRANKS))
-def test_the_work_of_the_strut_hinge_is_the_closed_form_at_every_speed(name, pin_hinge):
-    crank = CRANKS[name]
-    angle_rev, weight = branch_quadrature(crank, CURVE)
-    for omega in (0.0, 500.0):
-        moment = strut_hinge_moment(angle_rev, crank, CURVE, speed_rpm=omega * RPM, pin_hinge=pin_hinge)
-        work = 2 * np.pi * float(weight @ moment)
-        closed = strut_hinge_work(crank, CURVE, pin_hinge=pin_hinge)
-        assert work == pytest.approx(closed, abs=1e-13 * np.abs(moment).max() + 1e-11)
 
 
 # What the hinges ask for: weights, counterweights, the table against the hinge angle, the air spring's pressure.
