@@ -68,6 +68,8 @@ MISFITS = {
     "[gas]\ncrank_angle_deg = [0.0, 90.0]\n": "either pressure_pa or torque_n_m",
     "cylinders = []\n": "at least 1",
     "offset_m = 0.101\n": "could not turn",
+    "[shafts]\norders = [1, 2]\npairs = [{ order = 2, unbalance_g_mm = 1.0 }]\n": "more than one pair for order 2",
+    "[shafts]\npairs = [{ order = 1 }]\n": "required",
 }
 """Parts that do not fit an engine, and what is told of them."""
 

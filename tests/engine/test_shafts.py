@@ -26,7 +26,7 @@ from crankorder.engine.shafts import (
     weighted_wheels,
     with_single_shafts,
 )
-from crankorder.errors import ManyErrors, RequestError
+from crankorder.errors import RequestError
 from crankorder.report.balance.sentences import tolerance_sentences
 
 # Balance shafts of stated unbalance, as the thesis prints them, and the firing engine that it gives no numbers for.
@@ -80,34 +80,6 @@ def test_cancelled_orders_and_stated_pairs_stand_side_by_side():
     assert both.shafts.every_order == (1, 2)
     sheet = balance_sheet(BalancedEngine(name="it", engine=both, balance=BalanceData()), max_order=4)
     assert sheet["shafts"]["own"]["orders"] == [1, 2]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("shafts", "place", "problem"),
-    [
-        ("pairs = [{ order = 1 }]", "shafts.pairs.0.unbalance_g_mm", "required"),
-        ("pairs = [{ order = 1, unbalance_g_mm = -1.0 }]", "shafts.pairs.0.unbalance_g_mm", "greater than 0"),
-        (
-            "pairs = [{ order = 1, unbalance_g_mm = 1.0 }, { order = 1, unbalance_g_mm = 2.0 }]",
-            "shafts.pairs",
-            "more than one pair for order 1",
-        ),
-        (
-            "orders = [1, 2]\npairs = [{ order = 2, unbalance_g_mm = 1.0 }]",
-            "shafts.pairs",
-            "more than one pair for order 2",
-        ),
-    ],
-)
-def test_a_pair_that_cannot_be_is_told_once(tmp_path, shafts, place, problem):
-    lengths = "crank_radius_m = 0.05\nrod_length_m = 0.15\nreciprocating_mass_kg = 1.0\n"
-    (tmp_path / "bad.toml").write_text(f"{lengths}[shafts]\n{shafts}\n")
-    with pytest.raises(ManyErrors) as caught:
-        load_engine("bad.toml", tmp_path)
-    (fault,) = caught.value.faults
-    assert fault.place == place
-    assert problem in fault.problem.lower()
 
 
 # What errors leave of a balanced engine, against closed forms of the same chances.
