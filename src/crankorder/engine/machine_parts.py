@@ -51,7 +51,11 @@ USUAL_SLIP = 0.1
 
 
 def stated(description: str, *example: object, default: Any = ..., strict: bool | None = None) -> Any:
-    """Field of an engine file or a manifest, with its meaning and an example of its value for the documentation."""
+    """Field of an engine file or a manifest that the documentation explains.
+
+    ``description``: what it means. ``example``: of its value, or none. ``default``: its value where it is left out;
+    ``...`` where it must be stated. ``strict``: whether no value is converted; the model's own rule where None.
+    """
     examples = list(example) or None
     return Field(default=default, description=description, examples=examples, strict=strict)
 

@@ -311,7 +311,10 @@ def _of_crankshaft(crankshaft: Part, speed_rpm: float) -> list[str]:
 
 
 def single_causes(sheet: Part) -> Iterator[tuple[str, str, str, float, str | None]]:
-    """Cause, axis, order, amount (g·mm over ω²) and class of unbalance of what single causes leave of one cylinder."""
+    """Cause, axis, order, amount (g·mm over ω²) and class of unbalance of what single causes leave of one cylinder.
+
+    ``sheet``: of the engine; causes that it has no data for are left out.
+    """
     built, rod, added = sheet["shafts"]["second_order_built_for_lambda"], sheet["rod_split"], sheet["added_mass"]
     offset, cranks = sheet["offset"], sheet["reverse_cranks"]
     if built is not None:
