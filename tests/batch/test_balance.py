@@ -83,6 +83,8 @@ def test_a_shipped_engine_gives_one_valid_document_and_nothing_else(name, projec
     faults = jsonschema.Draft202012Validator(schema_of("balance")).iter_errors(found)
     assert [fault.message for fault in faults] == []
     assert set(KEYS) <= set(found)
+    assert found["sentences"]
+    assert all(sentence.endswith(".") and len(sentence) < 500 for sentence in found["sentences"])
 
 
 @pytest.mark.slow

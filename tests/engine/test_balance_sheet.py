@@ -1,7 +1,6 @@
 """The balance sheet: one JSON document for every shipped engine, with the keys asked for and true sentences."""
 
 import copy
-import json
 import tomllib
 
 import numpy as np
@@ -12,24 +11,16 @@ from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
 from crankorder.errors import ManyErrors, RequestError
+from crankorder.report.balance.sentences import balance_sentences
 from crankorder.settings import shipped
 
 CRANK_ENGINES = [name for name, text in shipped("engines").items() if "kind" not in tomllib.loads(text)]
-KEYS = {"engine", "lambda", "harmonics", "force_g_mm", "strategies", "shafts", "crankshaft", "notes", "sentences"}
 
 
 def sheet_of(name, **options):
-    """Sheet of a shipped engine."""
-    return balance_sheet(load_balanced_engine(name), **options).as_dict()
-
-
-def test_every_shipped_engine_has_a_sheet_that_json_keeps_whole():
-    for name in CRANK_ENGINES:
-        sheet = sheet_of(name)
-        assert set(sheet) >= KEYS, name
-        assert json.loads(json.dumps(sheet, allow_nan=False)) == sheet, name
-        assert sheet["sentences"], name
-        assert all(sentence.endswith(".") and len(sentence) < 500 for sentence in sheet["sentences"]), name
+    """Sheet of a shipped engine with its sentences."""
+    sheet = balance_sheet(load_balanced_engine(name), **options)
+    return {**sheet, "sentences": balance_sentences(sheet)}
 
 
 @pytest.mark.parametrize("name", CRANK_ENGINES)
@@ -40,7 +31,7 @@ def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name):
     engine = subject.engine
     terms_kg_m = engine.reciprocating_mass_kg * engine.crank_radius_m + engine.rotating_unbalance_kg_m
     round_off_n = 1e-14 * len(engine.cylinders) * terms_kg_m * (2000 * np.pi / 30) ** 2
-    sheet = balance_sheet(subject, speeds_rpm=[2000.0]).as_dict()
+    sheet = balance_sheet(subject, speeds_rpm=[2000.0])
     for axis, direction in (("x", "Z"), ("y", "X")):
         stated = sheet["force_n"]["2000"][axis] or {}
         known = force[DIRECTIONS.index(direction)]  # type: ignore[arg-type]
@@ -72,14 +63,14 @@ def test_several_cylinders_show_their_sum_and_no_strategies_of_one():
     cylinders = [{"crank_deg": 0.0, "position_m": -0.05}, {"crank_deg": 180.0, "position_m": 0.05}]
     table = {"crank_radius_m": 0.04, "rod_length_m": 0.14, "reciprocating_mass_kg": 0.5, "cylinders": cylinders}
     engine = balanced_engine(table, name="inline-2", source="inline-2.toml")
-    sheet = balance_sheet(engine, speeds_rpm=[3000.0]).as_dict()
+    sheet = balance_sheet(engine, speeds_rpm=[3000.0])
     assert "1" not in sheet["force_g_mm"]["x"]
     assert sheet["force_g_mm"]["x"]["2"] == pytest.approx(2 * 0.5e3 * 40 * sheet["harmonics"]["2"], rel=1e-12)
     assert sheet["strategies"] is None
     assert sheet["shafts"]["1"] is None
     assert sheet["moment_g_mm2"]["about_y"]["1"] == pytest.approx(500 * 40 * 100, rel=1e-12)
     couple_n_m = 500e-3 * 0.04 * 0.1 * (3000 * np.pi / 30) ** 2
-    assert f"{couple_n_m:.4g} N·m of order 1" in " ".join(s for s in sheet["sentences"] if "rocking couple" in s)
+    assert f"{couple_n_m:.4g} N·m of order 1" in " ".join(s for s in balance_sentences(sheet) if "rocking couple" in s)
 
 
 @pytest.mark.slow

@@ -7,14 +7,12 @@ import pytest
 from pydantic import ValidationError
 
 from crankorder.engine.hinged_crank import (
-    CrankTorque,
     TorqueBranch,
     crank_torque,
     load_hinged_engine,
     potential_torque,
     torque_harmonics,
 )
-from crankorder.errors import RequestError
 
 CURVE = load_hinged_engine("elastic-hinge").curve
 
@@ -75,11 +73,3 @@ def test_the_potential_torque_does_no_work_in_a_revolution():
 def test_impossible_nodes_are_refused(angles, torques, what):
     with pytest.raises(ValidationError, match=what):
         TorqueBranch(angle_deg=angles, torque_nm=torques)
-
-
-def test_a_gap_between_branches_is_refused():
-    first = TorqueBranch(angle_deg=(0.0, 170.0), torque_nm=(0.0, 1.0))
-    second = TorqueBranch(angle_deg=(180.0, 360.0), torque_nm=(1.0, 0.0))
-    for branches in ((first, second), (first,), (second,), ()):
-        with pytest.raises(RequestError):
-            CrankTorque(branches=branches)

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
-from crankorder.engine.balance_data import balanced_engine, load_balanced_engine
+from crankorder.engine.balance_data import (
+    CrankshaftSection,
+    FanCounterweight,
+    balanced_engine,
+    load_balanced_engine,
+)
 from crankorder.engine.balance_sheet import balance_sheet
-from crankorder.engine.crankshaft import CrankshaftSection, FanCounterweight, crankshaft_sums, two_plane_correction
+from crankorder.engine.shafts import crankshaft_sums, two_plane_correction
 from crankorder.errors import ManyErrors
 from crankorder.settings import shipped
 
@@ -27,16 +31,16 @@ def test_analytic_a_two_plane_correction_brings_both_sums_to_zero():
         for one, plane in zip(added, (first_mm, last_mm), strict=True)
     ]
     after = crankshaft_sums([*DATA.sections, *weights])
-    assert abs(after.static_kg_mm) < 1e-12 * 108
-    assert abs(after.dynamic_kg_mm2) < 1e-12 * 9176
+    assert abs(after[0]) < 1e-12 * 108
+    assert abs(after[1]) < 1e-12 * 9176
 
 
 @given(datum=st.floats(-500, 500))
 def test_analytic_another_datum_moves_the_couple_by_the_static_unbalance(datum):
     sums = crankshaft_sums(DATA.sections)
     moved = crankshaft_sums([one.model_copy(update={"z_mm": one.z_mm - datum}) for one in DATA.sections])
-    assert moved.static_kg_mm == sums.static_kg_mm
-    assert abs(sums.dynamic_kg_mm2 - datum * sums.static_kg_mm - moved.dynamic_kg_mm2) < 1e-9
+    assert moved[0] == sums[0]
+    assert abs(sums[1] - datum * sums[0] - moved[1]) < 1e-9
 
 
 def test_analytic_mass_and_centroid_of_a_fan_are_those_of_its_integral():
@@ -64,16 +68,6 @@ def test_literature_radius_then_thickness_then_fan_angle_change_the_balance_most
             less = FanCounterweight(**(sizes | {key: sizes[key] * 0.9999}), density_kg_m3=7850.0, inner_radius_mm=20.0)
             slope = (more.unbalance_kg_mm - less.unbalance_kg_mm) / weight.unbalance_kg_mm / 2e-4
             assert slope == pytest.approx(sense[name], abs=1e-6)  # type: ignore[index]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "wrong", [{"radius_mm": 0.0}, {"fan_angle_deg": 360.0}, {"inner_radius_mm": 60.0}, {"density_kg_m3": float("nan")}]
-)
-def test_a_counterweight_that_cannot_be_is_refused(wrong):
-    sizes = {"radius_mm": 60.0, "thickness_mm": 18.0, "fan_angle_deg": 120.0, "density_kg_m3": 7850.0}
-    with pytest.raises(ValidationError, match=next(iter(wrong))):
-        FanCounterweight(**(sizes | wrong))
 
 
 def fan_crankshaft(**changes):
@@ -109,7 +103,7 @@ def test_the_rod_as_cut_and_as_weighed_takes_the_place_of_the_bob_weight():
     content["balance"]["rod_split"]["on_pin"] = {
         "mass_g": 1673.0, "centre_from_big_end_mm": 38.6, "rod_length_mm": 157.0916,
     }  # fmt: skip
-    table = balance_sheet(balanced_engine(content, name="fans", source="fans.toml")).as_dict()["crankshaft"]
+    table = balance_sheet(balanced_engine(content, name="fans", source="fans.toml"))["crankshaft"]
     found = {one["method"]: one for one in table["bob_weights"]}
     assert list(found) == ["stated", "cut", "scale", "on pin"]
     assert found["on pin"]["mass_kg"] == pytest.approx(1.673 * (1 - 38.6 / 157.0916), rel=1e-12)

@@ -24,11 +24,8 @@ def test_a_users_engine_is_found_beside_the_manifest(tmp_path):
 
 def test_another_kind_of_engine_is_refused_by_name(tmp_path):
     (tmp_path / "other.toml").write_text("kind = 'elastic-hinge'\n")
-    for load, kind in (
-        (load_engine, "an engine of cranks"),
-        (load_balanced_engine, "a crank engine with balance data"),
-    ):
-        with pytest.raises(RequestError, match=rf"other.toml: kind: not {kind}.*found elastic-hinge"):
+    for load in (load_engine, load_balanced_engine):
+        with pytest.raises(RequestError, match=r"other.toml: kind: not an engine of cranks.*found elastic-hinge"):
             load("other.toml", beside=tmp_path)
         with pytest.raises(RequestError, match="nowhere"):
             load("nowhere", beside=tmp_path)
@@ -71,6 +68,8 @@ MISFITS = {
     "[gas]\ncrank_angle_deg = [0.0, 90.0]\n": "either pressure_pa or torque_n_m",
     "cylinders = []\n": "at least 1",
     "offset_m = 0.101\n": "could not turn",
+    "[shafts]\norders = [1, 2]\npairs = [{ order = 2, unbalance_g_mm = 1.0 }]\n": "more than one pair for order 2",
+    "[shafts]\npairs = [{ order = 1 }]\n": "required",
 }
 """Parts that do not fit an engine, and what is told of them."""
 

@@ -206,7 +206,7 @@ def test_offset_harmonics_have_twelve_digits_each(shared_truth, case, radius_m, 
     assert abs(harmonics[3] / harmonics[4]) == pytest.approx(known["third_over_fourth"], rel=1e-12)
 
 
-@given(st.floats(0.05, 0.8), st.floats(-0.7, 0.7))
+@pytest.mark.parametrize(("ratio", "share"), [(0.05, -0.7), (0.3, 0.0), (0.8, 0.7)])
 def test_the_rods_harmonics_add_up_to_its_exact_acceleration(ratio, share):
     mechanism = SliderCrank(crank_radius_m=ratio, rod_length_m=1.0, offset_m=share * (1 - ratio))
     angles = np.arange(64) / 64

@@ -4,11 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from crankorder.engine.definition import Cylinder, Engine, GasCurve
-from crankorder.engine.forces import inertia_torque_by_order
-from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.forces import gas_torque_by_order, inertia_torque_by_order
 from crankorder.engine.torsional_fluctuation import Lag, lag_from_torque
 from crankorder.errors import RequestError
 from crankorder.synth.motion import Motion
@@ -90,12 +88,3 @@ def test_the_slowest_speed_is_where_the_lag_falls_as_fast_as_the_angle_grows(ord
     falls = [float((1 + (turned @ lag.by_order(rpm)).real).min()) for rpm in (lag.slowest_rpm, 1.02 * lag.slowest_rpm)]
     assert abs(falls[0]) < 5e-3
     assert falls[1] > 0.01
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("inertia", [0.0, -1.0])
-def test_a_flywheel_turns_with_some_inertia_or_is_not_stated(inertia):
-    stated = _engine().model_dump() | {"flywheel_inertia_kg_m2": inertia}
-    with pytest.raises(ValidationError, match="greater than 0"):
-        Engine.model_validate(stated)
-    assert _engine().flywheel_inertia_kg_m2 is None

@@ -18,10 +18,11 @@ import numpy as np
 from crankorder.batch.result_folder import publish
 from crankorder.batch.store import text_sha256
 from crankorder.engine.balance_data import BalancedEngine, load_balanced_engine
-from crankorder.engine.balance_sheet import BalanceSheet, balance_sheet
-from crankorder.engine.hinge_sheet import HingeSheet, hinge_sheet
+from crankorder.engine.balance_sheet import balance_sheet
+from crankorder.engine.elastic_hinge import hinge_sheet
 from crankorder.engine.hinged_crank import HingedEngine, load_hinged_engine
 from crankorder.errors import RequestError, located
+from crankorder.report.balance.sentences import balance_sentences, hinge_sentences
 from crankorder.report.balance.text import balance_text, hinge_text
 from crankorder.settings import ReportSettings, load_settings, toml_table
 
@@ -39,7 +40,7 @@ class Balance:
     subject: BalancedEngine | HingedEngine
     max_order: int
     speeds_rpm: tuple[float, ...] | None
-    sheet: BalanceSheet | HingeSheet
+    sheet: dict[str, Any]
 
 
 def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ()) -> Balance:
@@ -53,16 +54,17 @@ def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ())
     speeds = tuple(speeds_rpm) or None
     table, source = toml_table(engine, "engines")
     subject: BalancedEngine | HingedEngine
-    sheet: BalanceSheet | HingeSheet
     overflow = np.errstate(over="ignore", invalid="ignore")  # told once, and by name of the file
     if table.get("kind") == HINGED:
         subject = load_hinged_engine(engine)
         with overflow:
             sheet = hinge_sheet(subject, max_order=max_order, speeds_rpm=speeds)
+        sheet["sentences"] = hinge_sentences(sheet)
     else:
         subject = load_balanced_engine(engine)
         with overflow, located(source):
             sheet = balance_sheet(subject, max_order=max_order, speeds_rpm=speeds)
+            sheet["sentences"] = balance_sentences(sheet)
         speeds = speeds or subject.balance.speeds_rpm
     balance = Balance(subject=subject, max_order=max_order, speeds_rpm=speeds, sheet=sheet)
     try:
@@ -75,12 +77,12 @@ def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ())
 
 def document_text(balance: Balance) -> str:
     """The sheet of ``balance`` as JSON: every digit of a number, so that it can be compared with other programs."""
-    return json.dumps(balance.sheet.as_dict(), ensure_ascii=False, allow_nan=False, indent=2)
+    return json.dumps(balance.sheet, ensure_ascii=False, allow_nan=False, indent=2)
 
 
 def table_text(balance: Balance) -> str:
     """Tables and sentences of ``balance`` for a terminal."""
-    return hinge_text(balance.sheet) if isinstance(balance.sheet, HingeSheet) else balance_text(balance.sheet)
+    return hinge_text(balance.sheet) if isinstance(balance.subject, HingedEngine) else balance_text(balance.sheet)
 
 
 def publish_balance(balance: Balance, out: Path, *, report: Mapping[str, object] | None = None) -> list[Path]:
@@ -99,7 +101,7 @@ def publish_balance(balance: Balance, out: Path, *, report: Mapping[str, object]
     if settings.pictures:
         for name, figure in figures.items():
             files[f"{name}.{kind}"] = picture_bytes(figure(), dpi=settings.dpi, kind=kind)
-    attrs = {"title": balance.sheet.engine, "source": f"crankorder {version('crankorder')}"}
+    attrs = {"title": balance.sheet["engine"], "source": f"crankorder {version('crankorder')}"}
     files["balance.nc"] = results_bytes(groups, attrs=attrs)
     publish(out, files, key=text_sha256(version("crankorder"), document))
     return [out / name for name in files]
@@ -116,11 +118,11 @@ def _of_engine(balance: Balance, settings: ReportSettings) -> Parts:
     from crankorder.report.netcdf import as_stored
 
     subject, sheet, speeds = balance.subject, balance.sheet, balance.speeds_rpm
+    cycle = sheet["cycle"]
     assert isinstance(subject, BalancedEngine)
-    assert isinstance(sheet, BalanceSheet)
     assert speeds is not None
     groups = {"balance": balance_dataset(subject, sheet, max_order=balance.max_order, speeds_rpm=speeds)}
-    if sheet.cycle is not None:
+    if cycle is not None:
         groups["cycle"] = cycle_dataset(subject.engine, speeds)
     shown = as_stored(groups)
     of_forces = {
@@ -130,14 +132,14 @@ def _of_engine(balance: Balance, settings: ReportSettings) -> Parts:
         "harmonics": harmonics_figure,
     }
     figures: dict[str, Callable[[], Any]] = {
-        name: partial(figure, shown["balance"], title=sheet.engine, settings=settings)
+        name: partial(figure, shown["balance"], title=sheet["engine"], settings=settings)
         for name, figure in of_forces.items()
     }
-    if sheet.cycle is not None:
-        of_cycle = partial(torque_figure, shown["cycle"], sheet.cycle.turning)
-        figures["torque"] = partial(of_cycle, title=sheet.engine, settings=settings)
-        if sheet.cycle.loads is not None:
-            figures["loads"] = partial(loads_figure, shown["cycle"], title=sheet.engine, settings=settings)
+    if cycle is not None:
+        of_cycle = partial(torque_figure, shown["cycle"], cycle["turning"])
+        figures["torque"] = partial(of_cycle, title=sheet["engine"], settings=settings)
+        if cycle["loads"] is not None:
+            figures["loads"] = partial(loads_figure, shown["cycle"], title=sheet["engine"], settings=settings)
     return groups, figures
 
 
@@ -149,19 +151,18 @@ def _of_hinges(balance: Balance, settings: ReportSettings) -> Parts:
 
     engine, sheet = balance.subject, balance.sheet
     assert isinstance(engine, HingedEngine)
-    assert isinstance(sheet, HingeSheet)
     figures: dict[str, Callable[[], Any]] = {}
     groups: dict[str, xr.Dataset] = {}
     taken: set[str] = set()
     units = {"crank_angle_deg": "degree", "moment_nm": "N m", "work_j": "J"}
-    for data, mechanism in zip(engine.mechanisms, sheet.mechanisms, strict=True):
+    for data, mechanism in zip(engine.mechanisms, sheet["mechanisms"], strict=True):
         speeds = balance.speeds_rpm or data.speeds_rpm
         name = folder_name(data.name, taken)
         figures[f"hinges_{name}"] = partial(hinge_figure, engine, data, speeds, settings=settings)
         if data.pin_guides is not None or data.strut_guides is not None:
             figures[f"guides_{name}"] = partial(guide_figure, engine, data, max(speeds), settings=settings)
-        for joint, hinge in mechanism.characteristic.items():
-            variables = {key: ("hinge_angle_deg", getattr(hinge, key), {"units": unit}) for key, unit in units.items()}
-            angle = {"hinge_angle_deg": ("hinge_angle_deg", hinge.hinge_angle_deg, {"units": "degree"})}
-            groups[f"{joint}_{name}"] = xr.Dataset(variables, coords=angle, attrs={"speed_rpm": hinge.speed_rpm})
+        for joint, hinge in mechanism["characteristic"].items():
+            variables = {key: ("hinge_angle_deg", hinge[key], {"units": unit}) for key, unit in units.items()}
+            angle = {"hinge_angle_deg": ("hinge_angle_deg", hinge["hinge_angle_deg"], {"units": "degree"})}
+            groups[f"{joint}_{name}"] = xr.Dataset(variables, coords=angle, attrs={"speed_rpm": hinge["speed_rpm"]})
     return groups, figures

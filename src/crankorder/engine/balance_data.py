@@ -1,47 +1,69 @@
-"""Data for balancing an engine (table ``[balance]`` of its TOML file), and what each cause of it leaves unbalanced."""
+"""Data for balancing an engine: table ``[balance]`` of its TOML file."""
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field, ValidationError, ValidationInfo, computed_field, field_validator
+from pydantic import Discriminator, Field, Tag, ValidationInfo, computed_field, field_validator, model_validator
 
-from crankorder.engine.balancing import CounterweightPlaces, CrankTrain, ReducedMasses, phasor, unbalance_force_n
-from crankorder.engine.crankshaft import CrankshaftBalance, CrankshaftData, crankshaft_balance
-from crankorder.engine.definition import Engine, with_gas_file
-from crankorder.engine.forces import crankcase_forces
-from crankorder.engine.gas import firing_intervals_deg
-from crankorder.engine.machine_parts import ASCENDING, NOT_EMPTY, EngineData, Positive
-from crankorder.engine.shafts import (
-    BalanceTolerances,
-    GearTolerances,
-    GearTrain,
-    Series,
-    ShaftPairParts,
-    gear_speed_ratios,
-    residual_along,
-    tolerance_study,
-    weight_moments,
-    weighted_wheels,
-    wheels_couple,
-    wheels_force,
-)
-from crankorder.engine.slider_crank import SliderCrank, acceleration_harmonics
+from crankorder.engine.definition import Engine, engine_table, validated
+from crankorder.engine.forces import crankcase_forces, firing_intervals_deg
+from crankorder.engine.machine_parts import ASCENDING, NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
-from crankorder.records import Record, said
-from crankorder.settings import toml_table, validation_fault
 
 DesignOrder = Annotated[int, Field(ge=1, le=12)]
 
-Amounts = dict[str, float]
-"""Amplitudes by order, or forces by crank speed (rpm): orders and speeds as texts."""
+
+class CrankTrain(EngineData):
+    """Crank, connecting rod and piston as parts: masses in g, lengths and centres of gravity in mm.
+
+    ``crank_centroid_mm`` is counted from the crankshaft's axis, ``rod_centroid_mm`` from the crank pin. The two masses
+    that replace the rod keep its centre of gravity, so forces on the frame are exact whatever its moment of inertia;
+    the couple is not. Source: Task 5, equation (5.1).
+    """
+
+    crank_mass_g: NonNegative
+    crank_centroid_mm: float
+    crank_radius_mm: Positive
+    rod_mass_g: NonNegative
+    rod_centroid_mm: float
+    rod_length_mm: Positive
+    piston_mass_g: NonNegative
+
+    @property
+    def rod_at_piston_pin_g(self) -> float:
+        """Part of the rod that goes to and fro with the piston."""
+        return self.rod_mass_g * self.rod_centroid_mm / self.rod_length_mm
+
+    @property
+    def rod_at_crank_pin_g(self) -> float:
+        """Part of the rod that turns with the crank."""
+        return self.rod_mass_g - self.rod_at_piston_pin_g
+
+    @property
+    def rotating_g(self) -> float:
+        """All that rotates, at the crank radius (Q1)."""
+        return self.rod_at_crank_pin_g + self.crank_mass_g * self.crank_centroid_mm / self.crank_radius_mm
+
+    @property
+    def reciprocating_g(self) -> float:
+        """All that goes to and fro (Q3)."""
+        return self.rod_at_piston_pin_g + self.piston_mass_g
+
+
+class CounterweightPlaces(EngineData):
+    """Radii (mm) at which masses can be added: on the crank, and on the rod beyond the crank pin."""
+
+    crank_mm: Positive | None = None
+    rod_mm: Positive | None = None
 
 
 class RodSplit(EngineData):
@@ -108,26 +130,288 @@ class UnbalanceClass(EngineData):
     limit_g_mm: Positive
 
 
-def leading_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
-    """First terms of the series of A2, A4, …: λ, λ³/4, 9λ⁵/128, 5λ⁷/256, …, shape (count,).
+class CrankshaftSection(EngineData):
+    """A section of the crankshaft: mass (kg) and centre of gravity (mm).
 
-    They are what textbooks and shafts built by them use, 2 % to 15 % below the exact harmonics at λ = 0.3.
-
-    ``count``: how many, ≥ 0. ``crank_ratio``: λ = r/l, 0 < λ < 1.
-    Source: truth sheet 1 and 2.1 (table 1 of Ruckle 2014 lacks the 9 in its formula, not in its numbers).
+    Across the axis in the directions x and y, y towards the crank pin, and along the axis (z) from the datum in the
+    middle of the first main bearing.
     """
-    k = np.arange(1, count + 1, dtype=np.float64)
-    binomial = np.cumprod(np.where(k == 1, 0.5, (k - 1.5) / k))
-    return 8 * k**2 / crank_ratio * binomial * (crank_ratio / 2) ** (2 * k)
+
+    name: Annotated[str, Field(min_length=1)]
+    mass_kg: NonNegative
+    x_mm: float
+    y_mm: float
+    z_mm: float
 
 
-def unbalance_class(residual_g_mm: float, classes: Sequence[UnbalanceClass]) -> str | None:
-    """Name of the strictest class whose typical unbalance ``residual_g_mm`` does not exceed; None beyond all.
+class FanCounterweight(EngineData):
+    """A counterweight shaped as a fan, opposite to the crank pin: outer and inner radius, thickness, full fan angle.
 
-    ``classes``: in any sequence.
+    ``z_mm``: place of its middle along the axis. ``angle_deg``: how far its middle stands on from opposite to the pin,
+    in the sense of rotation.
     """
-    kept = [kind for kind in classes if abs(residual_g_mm) <= kind.limit_g_mm]
-    return min(kept, key=lambda kind: kind.limit_g_mm).name if kept else None
+
+    name: Annotated[str, Field(min_length=1)] = "fan"
+    shape: Literal["fan"] = "fan"
+    radius_mm: Positive
+    inner_radius_mm: NonNegative = 0.0
+    thickness_mm: Positive
+    fan_angle_deg: Annotated[float, Field(gt=0, lt=360)]
+    density_kg_m3: Positive
+    z_mm: float = 0.0
+    angle_deg: float = 0.0
+
+    @field_validator("inner_radius_mm")
+    @classmethod
+    def _below_the_outer(cls, value: float, info: ValidationInfo) -> float:
+        outer = info.data.get("radius_mm")
+        if outer is not None and value >= outer:
+            raise ValueError("the inner radius of a fan must be below its radius_mm")
+        return value
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass."""
+        ring = (self.radius_mm - self.inner_radius_mm) * (self.radius_mm + self.inner_radius_mm)
+        volume_mm3 = math.radians(self.fan_angle_deg) / 2 * ring * self.thickness_mm
+        return 1e-9 * self.density_kg_m3 * volume_mm3
+
+    @property
+    def centroid_mm(self) -> float:
+        """Distance of the centre of gravity from the axis."""
+        outer, inner = self.radius_mm, self.inner_radius_mm
+        reach = (outer * outer + outer * inner + inner * inner) / (outer + inner)
+        return 2 / 3 * reach * float(np.sinc(self.fan_angle_deg / 360))
+
+    @property
+    def unbalance_kg_mm(self) -> float:
+        """Mass times distance of the centre of gravity."""
+        return self.mass_kg * self.centroid_mm
+
+    @property
+    def sensitivity(self) -> dict[Literal["radius", "thickness", "fan_angle"], float]:
+        """Per cent of unbalance that one per cent more of each size adds: what is most worth changing."""
+        half = math.radians(self.fan_angle_deg) / 2
+        share = (self.inner_radius_mm / self.radius_mm) ** 3
+        return {"radius": 3 / (1 - share), "thickness": 1.0, "fan_angle": half / math.tan(half)}
+
+    @property
+    def section(self) -> CrankshaftSection:
+        """The counterweight as a section of its crankshaft."""
+        centre = -1j * self.centroid_mm * cmath.exp(-1j * math.radians(self.angle_deg))
+        return CrankshaftSection(
+            name=self.name, mass_kg=self.mass_kg, x_mm=centre.real, y_mm=centre.imag, z_mm=self.z_mm
+        )
+
+    def resized(self, unbalance_kg_mm: float) -> dict[str, float | None]:
+        """The radius (mm), the thickness (mm) or the fan angle (degrees) that alone gives another unbalance.
+
+        ``unbalance_kg_mm``: wanted, > 0. None for a fan angle where half a turn of fan is too little. The unbalance is
+        ⅔ density · thickness · (radius³ − inner radius³) · sin(fan angle / 2).
+        """
+        more = unbalance_kg_mm / self.unbalance_kg_mm
+        inner = self.inner_radius_mm**3
+        sine = more * math.sin(math.radians(self.fan_angle_deg) / 2)
+        wider = 2 * math.degrees(math.asin(sine)) if sine <= 1 else None
+        if wider is not None and self.fan_angle_deg > 180:
+            wider = 360 - wider
+        return {
+            "radius_mm": (inner + more * (self.radius_mm**3 - inner)) ** (1 / 3),
+            "thickness_mm": more * self.thickness_mm,
+            "fan_angle_deg": wider,
+        }
+
+
+class Slug(EngineData):
+    """A round slug of heavier metal in the counterweight ``into``: its centre ``radius_mm`` from the axis.
+
+    It takes the place of crank metal, ``crank_density_kg_m3``; left out where ``into`` is a fan, which states its own.
+    """
+
+    into: Annotated[str, Field(min_length=1)]
+    diameter_mm: Positive
+    length_mm: Positive
+    radius_mm: Positive
+    density_kg_m3: Positive
+    crank_density_kg_m3: Positive | None = None
+
+
+Counterweight = Annotated[
+    Annotated[str, Tag("section")] | Annotated[FanCounterweight, Tag("fan")],
+    Discriminator(lambda value: "section" if isinstance(value, str) else "fan"),
+]
+"""A counterweight of a file: the name of one of the sections, or a table of its shape."""
+
+
+class CrankshaftData(EngineData):
+    """Sections of a crankshaft, its counterweights in order along it, slugs, and the overbalance left for machining.
+
+    ``counterweights``: names of sections, or fans; corrections are made in the first and the last.
+    ``overbalance_kg_mm``: least and most that the counterweights are to have too much, for the balancing machine to
+    take away. ``bob_weight``: the section that stands for the big end of the rod, so that what the rod really has can
+    be put in its place.
+    """
+
+    sections: Annotated[tuple[CrankshaftSection, ...], NOT_EMPTY] = Field(strict=False)
+    counterweights: tuple[Counterweight, ...] = Field(strict=False)
+    slugs: tuple[Slug, ...] = Field(default=(), strict=False)
+    overbalance_kg_mm: tuple[NonNegative, NonNegative] | None = Field(default=None, strict=False)
+    bob_weight: str | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        names = [section.name for section in self.sections] + [fan.name for fan in self.fans.values()]
+        wanted = [name for name in self.counterweights if isinstance(name, str)]
+        wanted += [self.bob_weight] if self.bob_weight is not None else []
+        missing = [name for name in wanted if names.count(name) != 1]
+        if missing:
+            raise ValueError(f"counterweights and bob weight must each name one section; not so: {', '.join(missing)}")
+        twice = sorted({fan for fan in self.fans if names.count(fan) > 1})
+        if twice:
+            raise ValueError(f"more than one section is called {', '.join(twice)}")
+        if len(self.counterweights) < 2:
+            raise ValueError("a crankshaft needs two counterweights or more, to be corrected in two planes")
+        places = self.places
+        if any(after <= before for before, after in pairwise(places.values())):
+            shown = ", ".join(f"{name} {place:g} mm" for name, place in places.items())
+            raise ValueError(f"counterweights must ascend along the axis, no two in one plane: {shown}")
+        for slug in self.slugs:
+            if slug.into not in places:
+                raise ValueError(f"a slug must sit in one of the counterweights; not so: {slug.into}")
+            if slug.crank_density_kg_m3 is None and slug.into not in self.fans:
+                raise ValueError(
+                    f"the slug in {slug.into} needs crank_density_kg_m3, of the metal whose place it takes"
+                )
+            fan = self.fans.get(slug.into)
+            if fan is None and not any(part.name == slug.into and (part.x_mm or part.y_mm) for part in self.sections):
+                raise ValueError(f"{slug.into} has its centre of gravity in the axis: a slug in it has no direction")
+            if fan is not None and slug.length_mm > fan.thickness_mm:
+                raise ValueError(f"the slug in {slug.into} is longer than the counterweight is thick")
+            if fan is not None and slug.radius_mm + slug.diameter_mm / 2 > fan.radius_mm:
+                raise ValueError(f"the slug in {slug.into} stands out of the counterweight's radius")
+        return self
+
+    @cached_property
+    def fans(self) -> dict[str, FanCounterweight]:
+        """The counterweights that are given by their shape, by name."""
+        return {fan.name: fan for fan in self.counterweights if isinstance(fan, FanCounterweight)}
+
+    @property
+    def places(self) -> dict[str, float]:
+        """Place of each counterweight along the crankshaft (mm), by name; it is corrected in the first and the last."""
+        by_name = {section.name: section.z_mm for section in self.sections}
+        return {
+            (weight if isinstance(weight, str) else weight.name): (
+                by_name[weight] if isinstance(weight, str) else weight.z_mm
+            )
+            for weight in self.counterweights
+        }
+
+    @cached_property
+    def parts(self) -> tuple[CrankshaftSection, ...]:
+        """Every part of the crankshaft: the sections, the fans, and what each slug adds to its counterweight."""
+        fans = [fan.section for fan in self.fans.values()]
+        holders = {part.name: part for part in (*self.sections, *fans)}
+        return (*self.sections, *fans, *(_slug_section(slug, holders[slug.into], self.fans) for slug in self.slugs))
+
+
+def _slug_section(slug: Slug, holder: CrankshaftSection, fans: Mapping[str, FanCounterweight]) -> CrankshaftSection:
+    """What ``slug`` adds, as a section: the mass that it has more than the metal whose place it takes."""
+    crank_density = slug.crank_density_kg_m3 or fans[slug.into].density_kg_m3
+    volume_mm3 = math.pi / 4 * slug.diameter_mm**2 * slug.length_mm
+    added = 1e-9 * volume_mm3 * (slug.density_kg_m3 - crank_density) * slug.radius_mm
+    out = complex(holder.x_mm, holder.y_mm)
+    centre = math.copysign(slug.radius_mm, added) * out / abs(out)
+    name = f"Slug in {slug.into}"
+    mass_kg = abs(added) / slug.radius_mm
+    return CrankshaftSection(name=name, mass_kg=mass_kg, x_mm=centre.real, y_mm=centre.imag, z_mm=holder.z_mm)
+
+
+class ShaftPart(EngineData):
+    """A part of a balance shaft: mass by design and as weighed (g), centre of gravity from the shaft's axis (mm)."""
+
+    name: Annotated[str, Field(min_length=1)]
+    design_mass_g: Positive
+    measured_mass_g: Positive | None = None
+    centroid_mm: float
+
+
+class ShaftPairParts(EngineData):
+    """A counter-rotating pair: order, the parts of one of its two shafts, and what a document prints for the pair."""
+
+    order: Annotated[int, Field(ge=1)]
+    parts: Annotated[tuple[ShaftPart, ...], NOT_EMPTY] = Field(strict=False)
+    printed_pair_g_mm: Positive | None = None
+    printed_needed_g_mm: Positive | None = None
+
+
+class Gear(EngineData):
+    """A gear of the train: its teeth, the gear that drives it or shares its shaft, and the place of its axis (mm).
+
+    ``x_mm`` lies along the cylinder, ``y_mm`` across it, both from the crankshaft. ``weight_radius_mm`` is the radius
+    of the weight that it carries; a gear without it only transmits.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    teeth: Annotated[int, Field(ge=1)]
+    driven_by: str | None = None
+    fixed_to: str | None = None
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    weight_radius_mm: Positive | None = None
+
+
+class GearTolerances(EngineData):
+    """Standard deviations of what may be wrong with the gears, and how many engines to try with which seed.
+
+    ``mesh_deg``: angle of a driven gear in each mesh. ``position_mm``: each coordinate of the axis of a wheel with
+    weight. ``weight_fraction``: its unbalance over the right one.
+    """
+
+    mesh_deg: NonNegative
+    position_mm: NonNegative
+    weight_fraction: NonNegative
+    samples: Annotated[int, Field(ge=1)]
+    seed: Annotated[int, Field(ge=0)]
+
+
+class GearTrain(EngineData):
+    """Gears in the sequence in which motion reaches them; the first sits on the crankshaft."""
+
+    gears: Annotated[tuple[Gear, ...], NOT_EMPTY] = Field(strict=False)
+    tolerances: GearTolerances | None = None
+
+    @model_validator(mode="after")
+    def _motion_reaches_every_gear(self) -> Self:
+        known: set[str] = set()
+        for gear in self.gears:
+            sources = [name for name in (gear.driven_by, gear.fixed_to) if name is not None]
+            if known and (len(sources) != 1 or sources[0] not in known):
+                raise ValueError(f"gear {gear.name} needs one of driven_by and fixed_to, naming a gear before it")
+            if not known and sources:
+                raise ValueError(f"gear {gear.name} comes first: it sits on the crankshaft and nothing drives it")
+            if gear.name in known:
+                raise ValueError(f"gear {gear.name} is named twice")
+            known.add(gear.name)
+        return self
+
+
+class BalanceTolerances(EngineData):
+    """Errors of a series of engines, each even between plus and minus what is stated.
+
+    ``reciprocating_g``: of each cylinder. ``rotating_g_mm``: unbalance added to each throw, any direction, up to this.
+    ``pin_deg``: of each crank pin. ``shaft_percent``: of each weight of a balance shaft. ``gear_deg``: of each shaft's
+    own angle. ``mistiming_deg``: one case beside the series, all shafts late by it.
+    """
+
+    reciprocating_g: NonNegative = 0.0
+    rotating_g_mm: NonNegative = 0.0
+    pin_deg: NonNegative = 0.0
+    shaft_percent: NonNegative = 0.0
+    gear_deg: NonNegative = 0.0
+    mistiming_deg: float | None = None
+    samples: Annotated[int, Field(ge=100, le=20_000)] = 2000
+    seed: Annotated[int, Field(ge=0)] = 0
 
 
 TABLE = "balance"
@@ -170,6 +454,17 @@ class BalancedEngine:
     engine: Engine
     balance: BalanceData
 
+    @property
+    def is_single(self) -> bool:
+        """Whether it has one cylinder and no webs, so that counterweights and shafts go by strategies."""
+        return len(self.engine.cylinders) == 1 and not self.engine.webs
+
+    @property
+    def planes_m(self) -> tuple[float, float]:
+        """Planes of the weights of a design along the crankshaft: those of the file, or first and last cylinder."""
+        places = [cylinder.position_m for cylinder in self.engine.cylinders]
+        return self.balance.design_planes_m or (min(places), max(places))
+
 
 def load_balanced_engine(name: str, *, beside: Path | None = None) -> BalancedEngine:
     """Engine and balance data from a shipped file of ``pipeline/engines`` or a user's TOML file.
@@ -177,13 +472,8 @@ def load_balanced_engine(name: str, *, beside: Path | None = None) -> BalancedEn
     ``name``: a shipped file's stem or the path of a TOML file. ``beside``: folder in which that path is tried first.
     Raises RequestError where there is no such file, ManyErrors with every fault of its content.
     """
-    stated, source = toml_table(name, "engines", beside=beside)
-    table, of_gas = with_gas_file(stated, name, beside)
-    if "kind" in table and "kind" not in Engine.model_fields:
-        problem = "not a crank engine with balance data"
-        remedy = "Name an engine with crank radius, rod length and masses"
-        raise RequestError(problem, file=source, place="kind", found=table["kind"], remedy=remedy)
-    return balanced_engine(table, name=Path(name).stem, source=source, faults=of_gas)
+    table, source, faults = engine_table(name, beside)
+    return balanced_engine(table, name=Path(name).stem, source=source, faults=faults)
 
 
 def balanced_engine(
@@ -195,18 +485,10 @@ def balanced_engine(
     found before, told with those of the content. Raises ManyErrors that lists every fault.
     """
     faults = list(faults)
-    engine = balance = None
-    try:
-        engine = Engine.model_validate({key: value for key, value in table.items() if key != TABLE})
-    except ValidationError as error:
-        faults += [validation_fault(fault, source) for fault in error.errors()]
-    try:
-        balance = BalanceData.model_validate(table.get(TABLE, {}))
-    except ValidationError as error:
-        placed = [{**fault, "loc": (TABLE, *fault["loc"])} for fault in error.errors()]
-        faults += [validation_fault(fault, source) for fault in placed]
-    if engine is not None and balance is not None:
-        faults += _disagreements(engine, balance, source)
+    engine = validated(Engine, {key: value for key, value in table.items() if key != TABLE}, source, faults)
+    balance = validated(BalanceData, table.get(TABLE, {}), source, faults, (TABLE,))
+    if engine is not None and balance is not None and balance.train is not None:
+        faults += _disagreements(engine, balance.train, source)
     if engine is not None:
         faults += _unanswered(engine, source)
     if faults or engine is None or balance is None:
@@ -231,26 +513,8 @@ def _unanswered(engine: Engine, source: str) -> list[CrankorderError]:
     return faults
 
 
-def reduced_masses(subject: BalancedEngine) -> ReducedMasses:
-    """What rotates and what slides in the engine of ``subject``, before any counterweight or shaft of a study."""
-    engine, train = subject.engine, subject.balance.train
-    if train is not None:
-        return ReducedMasses(
-            mechanism=engine.mechanism, rotating_g=train.rotating_g, reciprocating_g=train.reciprocating_g
-        )
-    rotating_g = engine.rotating_unbalance_kg_m / engine.crank_radius_m * 1e3
-    return ReducedMasses(
-        mechanism=engine.mechanism,
-        rotating_g=rotating_g * phasor(engine.rotating_unbalance_deg),
-        reciprocating_g=engine.reciprocating_mass_kg * 1e3,
-    )
-
-
-def _disagreements(engine: Engine, balance: BalanceData, source: str) -> list[CrankorderError]:
+def _disagreements(engine: Engine, train: CrankTrain, source: str) -> list[CrankorderError]:
     """Faults where the parts of the crank train do not add up to the masses and lengths of the engine."""
-    train = balance.train
-    if train is None:
-        return []
     of_parts = {
         "crank_radius_m": train.crank_radius_mm * 1e-3,
         "rod_length_m": train.rod_length_mm * 1e-3,
@@ -264,218 +528,3 @@ def _disagreements(engine: Engine, balance: BalanceData, source: str) -> list[Cr
             problem, allowed = "does not agree with the parts of the crank train", f"{there:.9g}, from {TABLE}.train"
             faults.append(RequestError(problem, file=source, place=key, found=f"{here:.9g}", allowed=allowed))
     return faults
-
-
-FULL_TURN_REV = np.arange(720) / 720
-"""Crank angles of a full turn; the quarter turns, where residuals peak, are among them."""
-
-
-def speed_key(speed_rpm: float) -> str:
-    """``speed_rpm`` as tables and sentences name it: every digit that a user can have meant, no zeros at the end."""
-    return f"{speed_rpm:.15g}"
-
-
-def newton(unbalance_g_mm: float, speed_rpm: float) -> float:
-    """Force (N) of ``unbalance_g_mm``, an amplitude over ω², at ``speed_rpm`` of the crank."""
-    return float(unbalance_force_n(unbalance_g_mm, speed_rpm))
-
-
-def newton_by_speed(unbalance_g_mm: float, speeds: Sequence[float]) -> Amounts:
-    """Force (N) of ``unbalance_g_mm`` at each of the ``speeds`` (rpm)."""
-    return {speed_key(speed): newton(unbalance_g_mm, speed) for speed in speeds}
-
-
-def harmonic_shares(mechanism: SliderCrank, max_order: int) -> Amounts:
-    """Amplitudes of orders 2 … ``max_order`` of the piston of ``mechanism`` over crank radius and ω²: A2, A4, …"""
-    share = np.abs(acceleration_harmonics(mechanism, max_order))
-    return {str(k): float(share[k]) for k in range(2, max_order + 1) if share[k]}
-
-
-def crankshaft_of(subject: BalancedEngine, speeds: Sequence[float]) -> CrankshaftBalance | None:
-    """Balance of the crankshaft of ``subject`` at ``speeds`` (rpm), with the rod's big end as cut and as weighed."""
-    data, splits = subject.balance.crankshaft, subject.balance.rod_split
-    if data is None:
-        return None
-    big_ends = {} if splits is None else {name: split.big_end_g for name, split in splits.by_method.items()}
-    return crankshaft_balance(data, {speed_key(speed): speed for speed in speeds}, big_ends_g=big_ends)
-
-
-class RodBalance(Record):
-    """The rod in two masses, as cut and as weighed, and what remains where it was balanced as cut."""
-
-    methods: dict[str, RodSplit] = said("masses of both ends (g) by method")
-    weighed_whole_g: float | None = said("mass of the whole rod on the scale, g")
-    cut_centroid_fraction: float = said("centre of gravity as cut, from the big end over rod length")
-    scale_centroid_fraction: float = said("centre of gravity as weighed, from the big end over rod length")
-    centroid_shift_mm: float = said("distance of both, mm")
-    two_mass_inertia_kg_m2: float = said("moment of inertia of the two masses as weighed, kg·m²")
-    rotating_deficit_g: float = said("mass that the crankshaft's counterweights lack, g")
-    reciprocating_excess_g: float = said("mass that the shafts have too much, g")
-    residual_x_g_mm: Amounts = said("force that remains along the cylinder by order, g·mm over ω²")
-    residual_y_g_mm: Amounts = said("force that remains across the cylinder by order, g·mm over ω²")
-    residual_x_second_n: Amounts = said("force of order 2 along the cylinder by speed, N")
-    residual_y_first_n: Amounts = said("force of order 1 across the cylinder by speed, N")
-
-
-def rod_balance(subject: BalancedEngine, speeds: Sequence[float]) -> RodBalance | None:
-    """Residual of a crankshaft and shafts built for the rod of ``subject`` as cut, which acts as weighed.
-
-    ``speeds``: at which forces are given, rpm. Source: truth sheet 2.7, on Ruckle 2014, section 3.3.1. A cut through
-    the centre of gravity keeps the mass of the rod but, put at the pins, moves its centre of gravity.
-    """
-    splits, mechanism = subject.balance.rod_split, subject.engine.mechanism
-    if splits is None:
-        return None
-    cut, scale = splits.cut, splits.scale
-    radius_mm, length_mm = mechanism.crank_radius_m * 1e3, mechanism.rod_length_m * 1e3
-    deficit, excess = scale.big_end_g - cut.big_end_g, cut.small_end_g - scale.small_end_g
-    across, second = deficit * radius_mm, excess * radius_mm * abs(acceleration_harmonics(mechanism, 2)[2])
-    return RodBalance(
-        methods=splits.by_method,
-        weighed_whole_g=splits.weighed_whole_g,
-        cut_centroid_fraction=cut.centroid_fraction,
-        scale_centroid_fraction=scale.centroid_fraction,
-        centroid_shift_mm=(cut.centroid_fraction - scale.centroid_fraction) * mechanism.rod_length_m * 1e3,
-        # of two masses about their centre of gravity; the rod's own differs, which makes a couple and no force
-        two_mass_inertia_kg_m2=scale.big_end_g * scale.small_end_g / scale.total_g * length_mm**2 * 1e-9,
-        rotating_deficit_g=deficit,
-        reciprocating_excess_g=excess,
-        residual_x_g_mm={"1": (deficit - excess) * radius_mm, "2": second},
-        residual_y_g_mm={"1": across},
-        residual_x_second_n=newton_by_speed(second, speeds),
-        residual_y_first_n=newton_by_speed(across, speeds),
-    )
-
-
-class AddedMass(Record):
-    """Force along the cylinder of a mass on the piston that no shaft was built for."""
-
-    mass_g: float = said("the mass, g")
-    residual_x_g_mm: Amounts = said("force by order, g·mm over ω²")
-    residual_n: dict[str, Amounts] = said("force by speed and order, N")
-    grade: str | None = said("strictest class of unbalance that order 1 keeps to", key="class")
-
-
-def added_mass(subject: BalancedEngine, max_order: int, speeds: Sequence[float]) -> AddedMass | None:
-    """Forces by order 1 … ``max_order`` of the mass added to the piston of ``subject``, at ``speeds`` (rpm)."""
-    grams, mechanism = subject.balance.added_mass_g, subject.engine.mechanism
-    if grams is None:
-        return None
-    share = np.abs(acceleration_harmonics(mechanism, max_order))
-    amounts = {str(k): float(grams * mechanism.crank_radius_m * 1e3 * share[k]) for k in np.flatnonzero(share)}
-    return AddedMass(
-        mass_g=grams,
-        residual_x_g_mm=amounts,
-        residual_n={
-            speed_key(speed): {order: newton(amount, speed) for order, amount in amounts.items()} for speed in speeds
-        },
-        grade=unbalance_class(amounts["1"], subject.balance.residual_classes),
-    )
-
-
-class OffsetBalance(Record):
-    """Effects of an offset of the cylinder on its first orders, and what shafts timed to the crank leave."""
-
-    offset_mm: float = said("distance of the cylinder axis from the crankshaft, mm")
-    harmonics: Amounts = said("amplitude of the piston's acceleration by order over r ω²")
-    amplitude_ratio: float = said("order 1 with the offset over that without")
-    rephasing_deg: float = said("lag of the shafts behind the crank that cancels order 1, degrees")
-    third_over_fourth: float = said("order 3 over order 4")
-    quadrature_x_g_mm: float = said("order 1 that shafts timed to the crank leave, g·mm over ω²")
-    quadrature_n: Amounts = said("that force by speed, N")
-    couple_n_m: dict[str, Amounts] = said("couple of force and shafts by speed and order, N·m", key="couple_Nm_at_rpm")
-
-
-def offset_balance(subject: BalancedEngine, speeds: Sequence[float]) -> OffsetBalance | None:
-    """Effects of the offset that ``subject`` asks to be studied, or else of its own, at ``speeds`` (rpm).
-
-    Source: truth sheet 2.6; what of order 1 is out of step with the crank remains beside shafts timed to the crank.
-    """
-    engine = subject.engine
-    offset_mm = subject.balance.offset_mm or abs(engine.offset_m) * 1e3
-    if not offset_mm:
-        return None
-    straight = SliderCrank(crank_radius_m=engine.crank_radius_m, rod_length_m=engine.rod_length_m)
-    mechanism = replace(straight, offset_m=offset_mm * 1e-3)
-    _, in_first, _, in_third, in_fourth = map(complex, acceleration_harmonics(mechanism, 4))
-    masses = reduced_masses(subject)
-    first = masses.crank_radius_mm * masses.reciprocating_g
-    quadrature = first * -in_first.imag
-    lines = {"1": first, "2": float(first * abs(acceleration_harmonics(straight, 2)[2]))}
-    return OffsetBalance(
-        offset_mm=offset_mm,
-        harmonics=harmonic_shares(mechanism, 8),
-        amplitude_ratio=abs(in_first),
-        rephasing_deg=math.degrees(math.atan2(-in_first.imag, in_first.real)),
-        third_over_fourth=abs(in_third) / abs(in_fourth),
-        quadrature_x_g_mm=quadrature,
-        quadrature_n=newton_by_speed(quadrature, speeds),
-        # of a force along the cylinder and the shafts that cancel it: Ruckle 2014, section 3.1.2; truth sheet 2.6
-        couple_n_m={
-            speed_key(speed): {order: newton(amount, speed) * (1e-3 * offset_mm) for order, amount in lines.items()}
-            for speed in speeds
-        },
-    )
-
-
-class GearErrors(Record):
-    """Median and 95 % bound of what sampled gear errors leave, by order."""
-
-    errors: GearTolerances = said("standard deviations of the errors, number of samples and seed")
-    along_g_mm: dict[str, Amounts] = said("force along the cylinder, g·mm over ω²")
-    across_g_mm: dict[str, Amounts] = said("force across the cylinder, g·mm over ω²")
-    couple_g_mm2: dict[str, Amounts] = said("couple about the crankshaft, g·mm² over ω²")
-
-
-class ReverseCranks(Record):
-    """Weights of direct and reverse cranks by gear, and what they leave; both with A2 and with λ in its place."""
-
-    speed_ratios: Amounts = said("speed of each gear over crank speed, below zero against the crank")
-    pair_moments_g_mm: dict[Series, Amounts] = said("weight times radius of the pairs by order, g·mm")
-    weights_g: Amounts = said("weight of each gear that carries one, g")
-    couple_g_mm2: float = said("couple about the crankshaft, g·mm² over ω²")
-    transverse_g_mm: float = said("largest force across the cylinder, g·mm over ω²")
-    residual_x_g_mm: dict[Series, float] = said("largest force along the cylinder, g·mm over ω²")
-    residual_x_n: dict[Series, Amounts] = said("that force by speed, N")
-    tolerances: GearErrors | None = said("what errors of the gears leave")
-
-
-def reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> ReverseCranks | None:
-    """Weights of the direct and reverse cranks of ``subject``, and what they leave at ``speeds`` (rpm)."""
-    masses, train = reduced_masses(subject), subject.balance.gears
-    if train is None:
-        return None
-    both: tuple[Series, ...] = ("leading", "exact")
-    by_series = {series: weighted_wheels(train, masses, second=series) for series in both}
-    residual = {
-        series: float(np.abs(residual_along(masses, weights, FULL_TURN_REV)).max())
-        for series, weights in by_series.items()
-    }
-    wheels = by_series["exact"]
-    radius = {gear.name: gear.weight_radius_mm or math.inf for gear in train.gears}
-    moments = {series: weight_moments(masses, second=series) for series in both}
-    return ReverseCranks(
-        speed_ratios=gear_speed_ratios(train),
-        pair_moments_g_mm={name: {f"{k:g}": size for k, size in pair.items()} for name, pair in moments.items()},
-        weights_g={name: wheel.unbalance_g_mm / radius[name] for name, wheel in wheels.items()},
-        couple_g_mm2=float(sum(abs(couple) for couple in wheels_couple(wheels).values())),
-        transverse_g_mm=float(np.abs(wheels_force(wheels, FULL_TURN_REV).imag).max()),
-        residual_x_g_mm=residual,
-        residual_x_n={series: newton_by_speed(amount, speeds) for series, amount in residual.items()},
-        tolerances=None if train.tolerances is None else _gear_errors(train, masses, train.tolerances),
-    )
-
-
-def _gear_errors(train: GearTrain, masses: ReducedMasses, tolerances: GearTolerances) -> GearErrors:
-    study = tolerance_study(train, masses, tolerances)
-
-    def quantiles(sampled: NDArray[np.float64]) -> dict[str, Amounts]:
-        both = zip(study.orders, *np.quantile(sampled, [0.5, 0.95], axis=0), strict=True)
-        return {f"{order:g}": {"median": float(middle), "95 %": float(high)} for order, middle, high in both}
-
-    return GearErrors(
-        errors=tolerances,
-        along_g_mm=quantiles(study.along_g_mm),
-        across_g_mm=quantiles(study.across_g_mm),
-        couple_g_mm2=quantiles(study.couple_g_mm2),
-    )

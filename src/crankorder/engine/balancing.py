@@ -1,27 +1,49 @@
-"""Balance by counterweights on crank and rod: forces in the crank's plane by order, what strategies a to d leave."""
+"""Every way of balancing as an engine of its own: counterweights, balance shafts, crank webs, and the force they leave.
+
+Forces of one order are split into what turns with the crank and what turns against it: a counterweight or shaft takes
+one of these parts.
+"""
 
 from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crankorder.engine.machine_parts import EngineData, NonNegative, Positive
-from crankorder.engine.slider_crank import SliderCrank, acceleration_harmonics, plain_piston_acceleration
+from crankorder.engine.balance_data import BalancedEngine, CounterweightPlaces
+from crankorder.engine.definition import BalanceShafts, Cylinder, Engine, SingleShaft, Weight
+from crankorder.engine.forces import CANCELLED, DIRECTIONS, Amounts, X, Z, crankcase_forces, crankcase_moments
+from crankorder.engine.slider_crank import acceleration_harmonics, plain_piston_acceleration
 from crankorder.errors import RequestError
 
 Rotation = Literal["with crank", "against crank", "line", "none"]
-
+Strategy = Literal["a", "b", "c", "d"]
+Possibility = Literal["1", "2", "3", "4", "4+2"]
+STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
+POSSIBILITIES: tuple[Possibility, ...] = get_args(Possibility)
+RECIPROCATING_SHARE: dict[Strategy, float] = {"a": 1.0, "b": 0.0, "c": 0.5}
+"""Share of the reciprocating mass that the crank's counterweight stands against, beside the whole rotating mass."""
+SHAFTS: dict[Possibility, tuple[Strategy, tuple[int, ...]]] = {
+    "1": ("b", (1, -1)),
+    "2": ("b", (2, -2)),
+    "3": ("b", (1, -1, 2, -2)),
+    "4": ("c", (-1,)),
+    "4+2": ("c", (-1, 2, -2)),
+}
+"""Strategy that each possibility of additional shafts builds on, and speeds of its shafts over that of the crank."""
 ROUND_OFF = 1e-12
-"""Two rotating parts that differ by less than this share of their size are taken as equal."""
+"""Share of what the cylinders make one by one: what is below it of a sum, or of a difference, is round-off."""
+ONE_RADIAN_PER_S_RPM = 30 / math.pi
+MOMENT_AXES = {"about_x": "Z", "about_y": "X", "about_crankshaft": "Y"}
+"""Axes that moments are named for in a balance sheet, and the engine's direction that each of them is."""
 
-CANCELLED = 1e-14
-"""A sum below this share of its terms is round-off of what cancels, and set to zero."""
+ByAxis = dict[str, Amounts | None]
+"""Amounts by axis; None for an axis that has none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,12 +54,12 @@ class OrderForce:
     cylinder away from the crankshaft, the imaginary axis across it, towards the side that the crank turns to.
     """
 
-    order: float
+    order: int
     direct_g_mm: complex = 0j
     reverse_g_mm: complex = 0j
 
     @classmethod
-    def of_axes(cls, *, order: float, x_g_mm: complex, y_g_mm: complex = 0j) -> OrderForce:
+    def of_axes(cls, *, order: int, x_g_mm: complex, y_g_mm: complex = 0j) -> OrderForce:
         """The force whose part along the cylinder is Re(x_g_mm exp(i order φ)), and across it likewise with y_g_mm.
 
         ``order``: cycles per crank revolution, > 0. ``x_g_mm``, ``y_g_mm``: complex amplitudes over ω².
@@ -57,10 +79,9 @@ class OrderForce:
         return -1j * (self.direct_g_mm - self.reverse_g_mm.conjugate())
 
     @property
-    def semi_axes_g_mm(self) -> tuple[float, float]:
-        """Largest and smallest size of the force during a turn: the half axes of the ellipse that it draws."""
-        direct, reverse = abs(self.direct_g_mm), abs(self.reverse_g_mm)
-        return direct + reverse, abs(direct - reverse)
+    def largest_g_mm(self) -> float:
+        """Largest size of the force during a turn: half the long axis of the ellipse that it draws."""
+        return abs(self.direct_g_mm) + abs(self.reverse_g_mm)
 
     @property
     def rotation(self) -> Rotation:
@@ -73,27 +94,70 @@ class OrderForce:
         return "with crank" if direct > reverse else "against crank"
 
 
-def sum_by_order(forces: Iterable[OrderForce]) -> tuple[OrderForce, ...]:
-    """Sum of forces, one per order, in rising order; what cancels to round-off is zero.
+@dataclass(frozen=True, kw_only=True)
+class OrderMotion:
+    """Force and couple of one order over ω², each split into what turns with the crank and against it.
 
-    ``forces``: any number, orders may repeat.
+    ``force``: g·mm. ``couple``: g·mm², first moments of the force along the crankshaft, counted from position 0: its
+    real axis is that of forces along Z, its imaginary one that of forces along X.
     """
-    terms: dict[float, list[OrderForce]] = {}
-    for force in forces:
-        terms.setdefault(force.order, []).append(force)
+
+    force: OrderForce
+    couple: OrderForce
+
+
+def order_motions(engine: Engine, max_order: int) -> tuple[OrderMotion, ...]:
+    """Force and couple of orders 1 … ``max_order`` of the whole ``engine``, its webs and shafts included.
+
+    What cancels to round-off is zero. Source: r × F along the crankshaft; direct and reverse parts after J. P. Den
+    Hartog (1956), Mechanical Vibrations, section 5.3.
+    """
+    force = crankcase_forces(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e6
+    moment = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
+    terms, reaches = _terms_g_mm(engine, max_order), reach_g_mm2(engine, max_order)
+
+    def split(order: int, along: complex, across: complex, size: float) -> OrderForce:
+        def clean(amplitude: complex) -> complex:
+            return amplitude if abs(amplitude) > ROUND_OFF * size else 0j
+
+        parts = OrderForce.of_axes(order=order, x_g_mm=clean(complex(along)), y_g_mm=clean(complex(across)))
+        return OrderForce(order=order, direct_g_mm=clean(parts.direct_g_mm), reverse_g_mm=clean(parts.reverse_g_mm))
+
     return tuple(
-        OrderForce(
-            order=order,
-            direct_g_mm=_sum([force.direct_g_mm for force in terms[order]]),
-            reverse_g_mm=_sum([force.reverse_g_mm for force in terms[order]]),
+        OrderMotion(
+            force=split(k, force[Z, k], force[X, k], terms[k]),
+            couple=split(k, moment[X, k], -moment[Z, k], reaches[k]),
         )
-        for order in sorted(terms)
+        for k in range(1, max_order + 1)
     )
 
 
-def _sum(parts: list[complex]) -> complex:
-    total = sum(parts, 0j)
-    return total if abs(total) > CANCELLED * max(abs(part) for part in parts) else 0j
+def forces_of(engine: Engine, max_order: int) -> tuple[OrderForce, ...]:
+    """Force of the whole ``engine`` over ω² of orders 1 … ``max_order``; those that cancel are zero."""
+    return tuple(motion.force for motion in order_motions(engine, max_order))
+
+
+def _terms_g_mm(engine: Engine, max_order: int) -> NDArray[np.float64]:
+    """Size of what is summed at each order 0 … ``max_order``: every piston, throw, web and shaft by itself."""
+    terms = np.zeros(max_order + 1)
+    for single in engine.each:
+        terms += single.sliding_g_mm * np.abs(acceleration_harmonics(single.mechanism, max_order))
+        terms[1] += 1e6 * single.rotating_unbalance_kg_m
+    for shaft in (SingleShaft.model_construct(speed_ratio=1, weights=engine.webs), *engine.shafts.single):
+        if abs(shaft.speed_ratio) <= max_order:
+            size = sum(weight.unbalance_g_mm for weight in shaft.weights)
+            terms[abs(shaft.speed_ratio)] += shaft.speed_ratio**2 * size
+    return terms
+
+
+def reach_g_mm2(engine: Engine, max_order: int) -> NDArray[np.float64]:
+    """Size of what is summed in the moments of ``engine`` at orders 0 … ``max_order``: forces on the farthest lever."""
+    places = [cylinder.position_m for cylinder in engine.cylinders] + [weight.position_m for weight in engine.webs]
+    places += [weight.position_m for shaft in engine.shafts.single for weight in shaft.weights]
+    lever_m = max(map(abs, [*places, engine.shafts.position_m])) + engine.rod_length_m
+    reach: NDArray[np.float64] = 1e3 * lever_m * _terms_g_mm(engine, max_order)
+    reach[1:] = np.maximum(reach[1:], ROUND_OFF * reach[1:].max())
+    return reach
 
 
 def polar_diagram(forces: Iterable[OrderForce], crank_angle_rev: ArrayLike) -> NDArray[np.complex128]:
@@ -110,15 +174,38 @@ def polar_diagram(forces: Iterable[OrderForce], crank_angle_rev: ArrayLike) -> N
     return curve
 
 
-def unbalance_force_n(unbalance_g_mm: ArrayLike, speed_rpm: ArrayLike) -> NDArray[np.float64]:
-    """Force (N) of an unbalance at a speed: 1e-6 · unbalance · ω², with no division by g.
+def by_axis(forces: Iterable[OrderForce], number: Callable[[complex], float] = abs) -> ByAxis:
+    """Amplitudes (g·mm over ω²) of ``forces`` by axis and order; None for an axis that has none.
 
-    ``unbalance_g_mm``: mass times radius, or an amplitude over ω². ``speed_rpm``: speed of the shaft that carries it
-    (for an amplitude over ω²: of the crank). The shapes must broadcast; the result has the common shape.
-    Source: Ruckle 2014, equation (1), whose g belongs to weights only (truth sheet 2.1).
+    ``number``: what is told of each complex amplitude. With :func:`degrees_of` it is the phase: order k is
+    amplitude · cos(k φ + phase), φ the crank angle.
     """
-    omega = np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)
-    return 1e-6 * np.asarray(unbalance_g_mm, dtype=np.float64) * omega**2
+    every = tuple(forces)
+    along = {str(force.order): number(force.x_g_mm) for force in every if force.x_g_mm}
+    across = {str(force.order): number(force.y_g_mm) for force in every if force.y_g_mm}
+    return {"x": along or None, "y": across or None}
+
+
+def moments_of(engine: Engine, max_order: int, number: Callable[[complex], float] = abs) -> ByAxis:
+    """Moments (g·mm² over ω²) of ``engine`` by order 1 … ``max_order`` about Z, X and the crankshaft.
+
+    None for an axis about which there is none. ``number``: what is stated of each complex amplitude, as for
+    :func:`by_axis`.
+    """
+    moments = 1e9 * crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order)
+    least = ROUND_OFF * reach_g_mm2(engine, max_order)
+    tables: ByAxis = {}
+    for name, axis in MOMENT_AXES.items():
+        by_order = [complex(moment) for moment in moments[DIRECTIONS.index(axis)]]
+        orders = [k for k in range(1, max_order + 1) if abs(by_order[k]) > least[k]]
+        tables[name] = {str(k): number(by_order[k]) for k in orders} or None
+    return tables
+
+
+def degrees_of(amplitude: complex) -> float:
+    """Phase of ``amplitude`` in degrees, above −180 and up to 180."""
+    phase_deg = math.degrees(cmath.phase(amplitude))
+    return phase_deg + (360.0 if phase_deg < -180 + 1e-9 else 0.0)
 
 
 def phasor(angle_deg: float) -> complex:
@@ -128,76 +215,7 @@ def phasor(angle_deg: float) -> complex:
     return (1 + 0j, 1j, -1 + 0j, -1j)[quarter % 4] * cmath.rect(1, rest)
 
 
-Strategy = Literal["a", "b", "c", "d"]
-
-RECIPROCATING_SHARE: dict[Strategy, float] = {"a": 1.0, "b": 0.0, "c": 0.5}
-"""Share of the reciprocating mass that the crank's counterweight stands against, beside the whole rotating mass."""
-
-
-class CrankTrain(EngineData):
-    """Crank, connecting rod and piston as parts: masses in g, lengths and centres of gravity in mm.
-
-    ``crank_centroid_mm`` is counted from the crankshaft's axis, ``rod_centroid_mm`` from the crank pin. The two masses
-    that replace the rod keep its centre of gravity, so forces on the frame are exact whatever its moment of inertia;
-    the couple is not. Source: Task 5, equation (5.1).
-    """
-
-    crank_mass_g: NonNegative
-    crank_centroid_mm: float
-    crank_radius_mm: Positive
-    rod_mass_g: NonNegative
-    rod_centroid_mm: float
-    rod_length_mm: Positive
-    piston_mass_g: NonNegative
-
-    @property
-    def rod_at_piston_pin_g(self) -> float:
-        """Part of the rod that goes to and fro with the piston."""
-        return self.rod_mass_g * self.rod_centroid_mm / self.rod_length_mm
-
-    @property
-    def rod_at_crank_pin_g(self) -> float:
-        """Part of the rod that turns with the crank."""
-        return self.rod_mass_g - self.rod_at_piston_pin_g
-
-    @property
-    def rotating_g(self) -> float:
-        """All that rotates, at the crank radius (Q1)."""
-        return self.rod_at_crank_pin_g + self.crank_mass_g * self.crank_centroid_mm / self.crank_radius_mm
-
-    @property
-    def reciprocating_g(self) -> float:
-        """All that goes to and fro (Q3)."""
-        return self.rod_at_piston_pin_g + self.piston_mass_g
-
-
-class CounterweightPlaces(EngineData):
-    """Radii (mm) at which masses can be added: on the crank, and on the rod beyond the crank pin."""
-
-    crank_mm: Positive | None = None
-    rod_mm: Positive | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReducedMasses:
-    """An engine as its balance sees it: a mass that rotates at the crank radius and one that slides along the cylinder.
-
-    ``rotating_g`` is complex: its angle is that of the unbalance from the crank; a counterweight makes it negative.
-    """
-
-    mechanism: SliderCrank
-    rotating_g: complex
-    reciprocating_g: float
-
-    @property
-    def crank_radius_mm(self) -> float:
-        """Crank radius (mm)."""
-        return self.mechanism.crank_radius_m * 1e3
-
-    @property
-    def rod_length_mm(self) -> float:
-        """Length of the connecting rod (mm)."""
-        return self.mechanism.rod_length_m * 1e3
+# One cylinder: counterweights on crank and rod, and additional shafts.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,86 +227,192 @@ class Counterweights:
     """
 
     crank_g: float
-    crank_deg: float = 0.0
-    rod_g: float = 0.0
-
-    @property
-    def total_g(self) -> float:
-        """Mass added in all; below zero, taken off."""
-        return self.crank_g + self.rod_g
+    crank_deg: float
+    rod_g: float
 
 
-def counterweights(masses: ReducedMasses, strategy: Strategy, places: CounterweightPlaces) -> Counterweights:
+def counterweights(engine: Engine, strategy: Strategy, places: CounterweightPlaces) -> Counterweights:
     """Counterweights (g) that a strategy asks for, below zero where the crank has too much already.
 
-    ``masses``: engine before balancing. ``strategy``: "a" cancels the first order along the cylinder, "b" the force
-    across it, "c" leaves equal parts of both, "d" brings every centre of gravity to the crankshaft. ``places``: radii;
-    the crank radius stands in for a missing one on the crank. Raises RequestError where "d" has no radius on the rod.
-    Source: Task 5, equations (5.7), (5.10), (5.24), (5.31), (5.33).
+    ``engine``: of one cylinder, before balancing. ``strategy``: "a" cancels the first order along the cylinder, "b" the
+    force across it, "c" leaves equal parts of both, "d" brings every centre of gravity to the crankshaft. ``places``:
+    radii; the crank radius stands in for a missing one on the crank. Raises RequestError where "d" has no radius on
+    the rod. Source: Task 5, equations (5.7), (5.10), (5.24), (5.31), (5.33).
     """
-    leverage = masses.crank_radius_mm / (places.crank_mm or masses.crank_radius_mm)
-    if strategy != "d":
-        return _on_crank(leverage, masses.rotating_g + RECIPROCATING_SHARE[strategy] * masses.reciprocating_g)
-    if places.rod_mm is None:
-        raise RequestError("strategy d needs a counterweight on the rod", place="rod_mm", remedy="State its radius")
-    on_rod = masses.reciprocating_g * masses.rod_length_mm / places.rod_mm
-    return replace(_on_crank(leverage, masses.rotating_g + masses.reciprocating_g + on_rod), rod_g=on_rod)
-
-
-def _on_crank(leverage: float, against_g: complex) -> Counterweights:
-    """The mass on the crank against a rotating one, signed along the crank and else with its angle."""
-    against = complex(against_g)
-    if not against.imag:
-        return Counterweights(crank_g=leverage * against.real)
-    return Counterweights(crank_g=leverage * abs(against), crank_deg=math.degrees(cmath.phase(against)))
-
-
-def balanced(masses: ReducedMasses, strategy: Strategy) -> ReducedMasses:
-    """What rotates and what slides under a strategy, in closed form, so that what cancels is exactly zero.
-
-    ``masses``: engine before balancing. ``strategy``: "a", "b", "c" or "d".
-    Source: Task 5, equations (5.8), (5.11), (5.25), (5.26).
-    """
+    sliding_g, radius_mm = 1e3 * engine.reciprocating_mass_kg, 1e3 * engine.crank_radius_m
+    on_rod, share = 0.0, RECIPROCATING_SHARE.get(strategy, 1.0)
     if strategy == "d":
-        return replace(masses, rotating_g=0.0, reciprocating_g=0.0)
-    return replace(masses, rotating_g=-RECIPROCATING_SHARE[strategy] * masses.reciprocating_g)
-
-
-def force_by_order(masses: ReducedMasses, *, max_order: int) -> tuple[OrderForce, ...]:
-    """Force on the frame over ω² by order 1 … ``max_order`` (g·mm).
-
-    ``masses``: what rotates and what slides. ``max_order``: ≥ 1. Orders that the engine does not make are left out,
-    except the first.
-    Source: Task 5, equations (5.2), (5.3), with harmonics of any order (truth sheet 1) and with offset (2.6).
-    """
-    harmonics = acceleration_harmonics(masses.mechanism, max_order)
-    sliding = masses.crank_radius_mm * masses.reciprocating_g * harmonics
-    rotating = masses.crank_radius_mm * masses.rotating_g
-    first = OrderForce.of_axes(order=1, x_g_mm=complex(sliding[1]))
-    return (
-        OrderForce(order=1, direct_g_mm=rotating + first.direct_g_mm, reverse_g_mm=first.reverse_g_mm),
-        *(OrderForce.of_axes(order=k, x_g_mm=complex(sliding[k])) for k in range(2, max_order + 1) if sliding[k]),
-    )
+        if places.rod_mm is None:
+            raise RequestError("strategy d needs a counterweight on the rod", place="rod_mm", remedy="State its radius")
+        on_rod = sliding_g * 1e3 * engine.rod_length_m / places.rod_mm
+    turning_g = 1e6 * engine.rotating_unbalance_kg_m / radius_mm * phasor(engine.rotating_unbalance_deg)
+    against = (turning_g + share * sliding_g + on_rod) * radius_mm / (places.crank_mm or radius_mm)
+    if not against.imag:
+        return Counterweights(crank_g=against.real, crank_deg=0.0, rod_g=on_rod)
+    return Counterweights(crank_g=abs(against), crank_deg=math.degrees(cmath.phase(against)), rod_g=on_rod)
 
 
 def rod_counterweight_couple(
-    masses: ReducedMasses, added: Counterweights, places: CounterweightPlaces, crank_angle_rev: ArrayLike
+    engine: Engine, rod_g: float, rod_mm: float, crank_angle_rev: ArrayLike
 ) -> NDArray[np.float64]:
     """Couple over ω² on the frame (g·mm²) that a counterweight on the rod leaves where all forces cancel.
 
-    ``masses``: lengths (an offset is not treated). ``added``, ``places``: counterweights and radii.
-    ``crank_angle_rev``: revolutions, any shape; the result has that shape, positive in the sense of the crank. What
-    the rod's true moment of inertia adds is not in it. Source: angular momentum of a point beyond the crank pin
-    (truth sheet 0).
+    ``engine``: lengths (an offset is not treated). ``rod_g``, ``rod_mm``: mass of the counterweight and its distance
+    beyond the crank pin. ``crank_angle_rev``: revolutions, any shape; the result has that shape, positive in the sense
+    of the crank. What the rod's true moment of inertia adds is not in it. Source: angular momentum of a point beyond
+    the crank pin (truth sheet 0).
     """
-    angle = 2 * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)
-    radius, length, ratio = masses.crank_radius_mm, masses.rod_length_mm, masses.mechanism.crank_ratio
-    beyond = places.rod_mm or 0.0
-    sine, cosine = np.sin(angle), np.cos(angle)
+    turn = np.exp(2j * np.pi * np.asarray(crank_angle_rev, dtype=np.float64))
+    radius, length, ratio = 1e3 * engine.crank_radius_m, 1e3 * engine.rod_length_m, engine.mechanism.crank_ratio
+    sine, cosine = turn.imag, turn.real
     rod_cosine = np.hypot(cosine, np.sqrt((1 - ratio) * (1 + ratio)) * sine)
-    swing = 1e3 * plain_piston_acceleration(crank_angle_rev, masses.mechanism) - radius * cosine  # length · λ² · D
-    place_x, place_y = radius * cosine - beyond * rod_cosine, (radius + beyond * ratio) * sine
-    second_x = -radius * cosine + beyond / length * swing
-    second_y = -place_y
-    couple: NDArray[np.float64] = -added.rod_g * (place_x * second_y - place_y * second_x)
+    swing = 1e3 * plain_piston_acceleration(crank_angle_rev, engine.mechanism) - radius * cosine  # length · λ² · D
+    place_x, place_y = radius * cosine - rod_mm * rod_cosine, (radius + rod_mm * ratio) * sine
+    couple: NDArray[np.float64] = rod_g * place_y * (place_x - radius * cosine + rod_mm / length * swing)
     return couple
+
+
+def balanced(engine: Engine, strategy: Strategy) -> Engine:
+    """The ``engine`` of one cylinder with the counterweights of a ``strategy``, as what rotates and what slides.
+
+    Source: Task 5, equations (5.8), (5.11), (5.25), (5.26).
+    """
+    if strategy == "d":
+        return engine.model_copy(update={"rotating_unbalance_kg_m": 0.0, "reciprocating_mass_kg": 0.0})
+    opposite = RECIPROCATING_SHARE[strategy] * 1e-6 * engine.sliding_g_mm
+    return engine.model_copy(update={"rotating_unbalance_kg_m": opposite, "rotating_unbalance_deg": 180.0})
+
+
+def with_shafts(engine: Engine, possibility: Possibility) -> Engine:
+    """The ``engine`` of one cylinder with the additional shafts of a ``possibility`` and the counterweights below them.
+
+    An order without force needs no shaft. Source: Task 5, equations (5.27) to (5.29).
+    """
+    strategy, ratios = SHAFTS[possibility]
+    below = balanced(engine, strategy)
+    return below.model_copy(update={"shafts": BalanceShafts(single=_shafts_against(below, ratios, (0.0, 0.0)))})
+
+
+# Several cylinders: weights in two planes, on the crank webs and on shafts.
+
+
+def designs(engine: Engine, *, orders: Sequence[int], planes_m: tuple[float, float]) -> dict[str, Engine]:
+    """Designs of crank webs and shafts for ``engine`` as it is without its shafts, each one beyond the one before.
+
+    First, "webs": counterweights on the crank in the two planes, for all of order 1 that turns with the crank. Then for
+    each of ``orders``, "order k": shafts for the rest of it, one for each way round that there is something to cancel,
+    with weights in the two planes for force and couple. A design that has nothing to add is left out.
+
+    ``orders``: ascending, ≥ 1. ``planes_m``: two places along the crankshaft; where they are one, a couple stays.
+    """
+    design = engine.bare
+    chosen: dict[str, Engine] = {}
+    if webs := _weights(order_motions(design, 1)[0], 1, planes_m):
+        chosen["webs"] = design = design.model_copy(update={"webs": (*engine.webs, *webs)})
+    for k in orders:
+        added = _shafts_against(design, (-1,) if k == 1 else (k, -k), planes_m)
+        if added:
+            shafts = BalanceShafts(single=(*design.shafts.single, *added))
+            chosen[f"order {k}"] = design = design.model_copy(update={"shafts": shafts})
+    return chosen
+
+
+def designs_for(subject: BalancedEngine) -> dict[str, Engine]:
+    """Crank webs and shafts for the orders and planes that the engine file of ``subject`` asks for."""
+    return designs(subject.engine, orders=sorted(set(subject.balance.design_orders)), planes_m=subject.planes_m)
+
+
+def systems(subject: BalancedEngine) -> dict[str, Engine]:
+    """Every way of balancing the engine of ``subject`` as an engine, by name: "none" is the plain one, without shafts.
+
+    Of one cylinder, which then stands upright: strategies and additional shafts. Of several: designs of webs and
+    shafts. "own" is the engine with the shafts of its file, where it has any.
+    """
+    engine = subject.engine
+    if subject.is_single:
+        plain = engine.each[0].model_copy(update={"cylinders": (Cylinder(),)})
+        names = [name for name in STRATEGIES if name != "d" or subject.balance.places.rod_mm is not None]
+        ways = {"none": plain} | {str(name): balanced(plain, name) for name in names}
+        ways |= {str(name): with_shafts(plain, name) for name in POSSIBILITIES}
+    else:
+        ways = {"none": engine.bare, **designs_for(subject)}
+    return {**ways, "own": engine} if engine.shafts.every_order else ways
+
+
+def throw_counterweights(engine: Engine) -> tuple[Weight, ...]:
+    """Counterweight of each throw that takes what of order 1 turns with the crank, in its own plane.
+
+    It stands against all that rotates and half of what goes to and fro, whatever the angles of the banks: the 50 %
+    that balance a cross-plane V8 wholly. ``engine``: webs are left as they are.
+    Source: a force along a line is two that turn, each of half its size (Den Hartog 1956, section 5.3).
+    """
+    counterweights = []
+    for single, cylinder in zip(engine.each, engine.cylinders, strict=True):
+        half = 0.5e-6 * single.sliding_g_mm * complex(acceleration_harmonics(single.mechanism, 1)[1])
+        left = half + single.rotating_unbalance_kg_m * cmath.exp(1j * math.radians(single.rotating_unbalance_deg))
+        if abs(left) <= CANCELLED * abs(half):  # its own counterweight takes it already
+            left = 0j
+        turn = cmath.exp(1j * math.radians(cylinder.crank_deg))
+        counterweights.append(_weight(-1e6 * turn * left, cylinder.position_m))
+    return tuple(counterweights)
+
+
+def primary_shares(engine: Engine) -> dict[str, float | None]:
+    """Share of the largest primary ``force`` and ``couple`` of the pistons of ``engine`` that crank webs can take.
+
+    Half in an engine in line, all where order 1 turns with the crank, as in a 90° V-twin or a cross-plane V8; None
+    where there is none.
+    """
+    first = order_motions(engine.pistons_alone, 1)[0]
+    # what is left after the webs is the part against the crank, of constant size
+    return {
+        kind: abs(part.direct_g_mm) / part.largest_g_mm if part.largest_g_mm else None
+        for kind, part in (("force", first.force), ("couple", first.couple))
+    }
+
+
+def roll_height_m(engine: Engine) -> float | None:
+    """How much higher the second-order shaft with the crank must sit to take the masses' second-order roll moment too.
+
+    For a pair that cancels the force of order 2 along Z: its two weights pull apart across the engine, and on a lever
+    between them make a moment about the crankshaft. None where that moment and theirs are not in step.
+    ``engine``: its shafts are left out. Source: H. Nakamura (1976), SAE 760111.
+    """
+    force = order_motions(engine.bare, 2)[1].force
+    if not force.direct_g_mm or force.rotation != "line":
+        return None
+    roll = complex(crankcase_moments(engine.bare, ONE_RADIAN_PER_S_RPM, max_order=2)[1, 2]) * 1e9
+    # the direct shaft pulls −direct·exp(ikφ), whose part across is −(−i·direct); a lever z makes z·across about Y
+    height = -roll / (1j * force.direct_g_mm)
+    return None if abs(height.imag) > ROUND_OFF**0.5 * abs(height) else 1e-3 * height.real
+
+
+def _shafts_against(
+    engine: Engine, speed_ratios: Sequence[int], planes_m: tuple[float, float]
+) -> tuple[SingleShaft, ...]:
+    """Shafts at ``speed_ratios`` times crank speed, each against the part of its order that turns as it does."""
+    motions = order_motions(engine, max(map(abs, speed_ratios)))
+    against = [(ratio, _weights(motions[abs(ratio) - 1], ratio, planes_m)) for ratio in speed_ratios]
+    return tuple(SingleShaft(speed_ratio=ratio, weights=weights) for ratio, weights in against if weights)
+
+
+def _weights(motion: OrderMotion, sense: int, planes_m: tuple[float, float]) -> tuple[Weight, ...]:
+    """Weights in two planes, of a shaft at the order of ``motion``, against the part of it that turns one way.
+
+    Source: two-plane balancing of each rotating vector: w₁ + w₂ = −F/n², y₁w₁ + y₂w₂ = −C/n².
+    """
+    force, couple = (part.direct_g_mm if sense > 0 else part.reverse_g_mm for part in (motion.force, motion.couple))
+    force, couple = -force / motion.force.order**2, -couple / motion.force.order**2
+    first_m, second_m = planes_m
+    if first_m == second_m:
+        return (_weight(force, first_m),) if force else ()
+    if not force and not couple:
+        return ()
+    at_second = (couple - 1e3 * first_m * force) / (1e3 * second_m - 1e3 * first_m)
+    return _weight(force - at_second, first_m), _weight(at_second, second_m)
+
+
+def _weight(unbalance: complex, position_m: float) -> Weight:
+    angle = math.degrees(cmath.phase(unbalance))
+    angle = 0.0 if abs(angle) < 1e-12 else angle % 360
+    return Weight(unbalance_g_mm=abs(unbalance), angle_deg=angle, position_m=position_m)

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Collection, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
@@ -344,9 +344,19 @@ class Engine(EngineData):
         return self.model_copy(update=alone)
 
     @property
+    def bare(self) -> Engine:
+        """The engine without balance shafts."""
+        return self.model_copy(update={"shafts": BalanceShafts()})
+
+    @property
     def largest_piston_kg(self) -> float:
         """Reciprocating mass of the heaviest cylinder."""
-        return max(one.reciprocating_mass_kg for one in self.each)
+        return max(single.reciprocating_mass_kg for single in self.each)
+
+    @property
+    def sliding_g_mm(self) -> float:
+        """Reciprocating mass times crank radius: force over ω² of order 1 of a piston, g·mm."""
+        return 1e6 * self.reciprocating_mass_kg * self.crank_radius_m
 
 
 def with_gas_file(
@@ -392,6 +402,37 @@ def _gas_of_file(file: str, gas: Collection[str], name: str, beside: Path | None
         raise RequestError("a value is no number", file=str(path), found=error) from None
 
 
+Model = TypeVar("Model", bound=EngineData)
+
+
+def validated(
+    model: type[Model], table: object, source: str, faults: list[CrankorderError], place: tuple[str, ...] = ()
+) -> Model | None:
+    """The ``model`` of a ``table``; None where it has faults, which are then added to ``faults``.
+
+    ``source``: what errors call the file. ``place``: of the table in that file.
+    """
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        faults += [validation_fault({**fault, "loc": (*place, *fault["loc"])}, source) for fault in error.errors()]
+        return None
+
+
+def engine_table(name: str, beside: Path | None = None) -> tuple[Mapping[str, object], str, list[CrankorderError]]:
+    """Content of the file of a crank engine, what errors call that file, and the fault of its gas file.
+
+    ``name`` and ``beside`` as in :func:`load_engine`. Raises RequestError where there is no such file or it holds
+    another kind of engine.
+    """
+    stated, source = toml_table(name, "engines", beside=beside)
+    table, faults = with_gas_file(stated, name, beside)
+    if "kind" in table:
+        problem, remedy = "not an engine of cranks, rods and cylinders", "Name one with crank radius, rod and masses"
+        raise RequestError(problem, file=source, place="kind", found=table["kind"], remedy=remedy)
+    return table, source, faults
+
+
 def load_engine(name: str, beside: Path | None = None) -> Engine:
     """Engine from a shipped file of ``pipeline/engines`` or a user's TOML file.
 
@@ -399,16 +440,8 @@ def load_engine(name: str, beside: Path | None = None) -> Engine:
     Raises RequestError where there is no such file or it holds another kind of engine, ManyErrors with every fault of
     its content. A table ``[balance]`` is left to ``crankorder.engine.balance_data``.
     """
-    stated, source = toml_table(name, "engines", beside=beside)
-    table, of_gas = with_gas_file(stated, name, beside)
-    if "kind" in table:
-        problem = "not an engine of cranks, rods and cylinders"
-        raise RequestError(problem, file=source, place="kind", found=table["kind"])
-    faults: list[CrankorderError] = [*of_gas]
-    try:
-        engine = Engine.model_validate({key: value for key, value in table.items() if key != "balance"})
-    except ValidationError as error:
-        faults += [validation_fault(fault, source) for fault in error.errors()]
-    if faults:
+    table, source, faults = engine_table(name, beside)
+    engine = validated(Engine, {key: value for key, value in table.items() if key != "balance"}, source, faults)
+    if faults or engine is None:
         raise ManyErrors(faults)
     return engine

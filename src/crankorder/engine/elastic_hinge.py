@@ -1,4 +1,4 @@
-"""Elastic hinges of a crank mechanism: the moments that they must give, and what to choose so that they work.
+"""Elastic hinges of a crank mechanism: what each must give, what to choose so that it works, and the sheet of both.
 
 The hinge between crank and rod keeps the piston off its cylinder wall; the hinge between strut and crank keeps the
 crank speed constant. All forms are finite at every angle: the gas force has poles at the dead centres, its moment
@@ -10,9 +10,9 @@ those are wrong and divide by zero at 90°. Source: Zotov, Sviridov, Tokarev (do
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,153 +21,28 @@ from crankorder.engine.hinged_crank import (
     CrankTorque,
     GuideData,
     HingedCrank,
-    RodMotion,
+    HingedCrankData,
+    HingedEngine,
+    PinHinge,
+    branch_quadrature,
+    hinge_moment,
+    mean_gas_moment,
+    mean_rod_cosine,
     point_acceleration,
     point_velocity,
     potential_torque,
     rod_motion,
+    side_force,
+    side_force_without_hinge,
+    torque_extrema,
+    torque_harmonics,
+    withheld_moment,
 )
 from crankorder.engine.slider_crank import Angles
 from crankorder.errors import RequestError
-from crankorder.records import Record, said
 
-PinHinge = Literal["full", "potential", "printed"]
-"""What the hinge at the crank pin gives. ``"full"``: all of M12, so that no side force is left; only where G = 0 can a
-spring do that. ``"potential"``: M12 less the constant that makes its work over the hinge angle φ + ψ zero.
-``"printed"``: equation (6), less the mean over φ; its work over the hinge's own angle is not zero."""
-
-# A panel as wide as twice its distance from a singularity converges by (1 + √2)² a point: this many reach 1e-16
-_POINTS_BESIDE_SINGULARITY = 22
-
-
-def gas_moment(crank_angle_rev: ArrayLike, crank: HingedCrank, torque: CrankTorque) -> Angles:
-    """Moment T (N·m) of the potential gas force about the crank pin: F R sin φ, finite at every angle.
-
-    F itself, equation (3), has poles at both dead centres and is never formed: T = M_pot / (1 + dψ/dφ).
-
-    ``crank_angle_rev``: revolutions, any shape. ``crank``: lengths. ``torque``: of the crank.
-    Returns the shape of the angles. Source: truth sheet 4.2.
-    """
-    motion = rod_motion(crank_angle_rev, crank)
-    return potential_torque(crank_angle_rev, torque) / motion.hinge_rate
-
-
-def inertia_moment(motion: RodMotion, crank: HingedCrank) -> Angles:
-    """J (kg·m²): moment about the crank pin of all inertia of rod, piston and counterweight, per squared crank speed.
-
-    ``motion``: of the rod. ``crank``: lengths and weights. Odd in the crank angle, so its mean is zero.
-    Source: truth sheet 4.3 (the inertia terms of equation (4)).
-    """
-    total = -crank.rod_inertia_kg_m2 * motion.swing_rate
-    rod_sine = crank.mechanism.crank_ratio * motion.sine
-    for mass, distance in crank.rod_points:
-        along, across = point_acceleration(distance, motion, crank)
-        total = total + mass * distance * (rod_sine * along + motion.rod_cosine * across)
-    return total
-
-
-def hinge_moment(
-    crank_angle_rev: ArrayLike,
-    crank: HingedCrank,
-    torque: CrankTorque,
-    *,
-    speed_rpm: float,
-    pin_hinge: PinHinge = "full",
-) -> Angles:
-    """Moment (N·m) of the hinge at the crank pin upon the rod; "full" is M12, which leaves no side force at all.
-
-    ``crank_angle_rev``: revolutions, any shape. ``crank``: lengths and weights. ``torque``: of the crank.
-    ``speed_rpm``: constant crank speed. ``pin_hinge``: see :data:`PinHinge`. Returns the shape of the angles.
-    Source: document 003, equations (4) and (6); truth sheet 4.3 and 4.4.
-    """
-    motion = rod_motion(crank_angle_rev, crank)
-    omega_squared = (speed_rpm * np.pi / 30) ** 2
-    moment = crank.static_moment_nm * motion.rod_cosine + gas_moment(crank_angle_rev, crank, torque)
-    moment += omega_squared * inertia_moment(motion, crank)
-    moment -= withheld_moment(crank, torque, pin_hinge=pin_hinge)
-    return moment
-
-
-def withheld_moment(crank: HingedCrank, torque: CrankTorque, *, pin_hinge: PinHinge) -> float:
-    """Constant (N·m) that the hinge at the crank pin leaves out of M12; no crank speed changes it.
-
-    ``crank``: lengths and weights. ``torque``: of the crank. ``pin_hinge``: 0 for "full", G⟨cos ψ⟩ for "potential",
-    G⟨cos ψ⟩ + ⟨T⟩ for "printed". Source: truth sheet 4.3 and 4.4.
-    """
-    if pin_hinge == "full":
-        return 0.0
-    static = crank.static_moment_nm * mean_rod_cosine(crank)
-    return static if pin_hinge == "potential" else static + mean_gas_moment(crank, torque)
-
-
-def side_force_without_hinge(
-    crank_angle_rev: ArrayLike, crank: HingedCrank, torque: CrankTorque, *, speed_rpm: float
-) -> Angles:
-    """Side force R430 (N) of the cylinder upon the piston where the crank pin has no hinge: M12 / (L cos ψ).
-
-    ``crank_angle_rev``: revolutions, any shape. ``crank``: lengths and weights. ``torque``: of the crank.
-    ``speed_rpm``: constant crank speed. Returns the shape of the angles. Source: document 003, equation (5).
-    """
-    moment = hinge_moment(crank_angle_rev, crank, torque, speed_rpm=speed_rpm)
-    return moment / (crank.rod_length_m * rod_motion(crank_angle_rev, crank).rod_cosine)
-
-
-def side_force(crank_angle_rev: ArrayLike, crank: HingedCrank, torque: CrankTorque, *, pin_hinge: PinHinge) -> Angles:
-    """Side force R43 (N) of the cylinder upon the piston that a hinge at the crank pin leaves, at any crank speed.
-
-    ``crank_angle_rev``: revolutions, any shape. ``crank``: lengths and weights. ``torque``: of the crank.
-    ``pin_hinge``: see :data:`PinHinge`. Returns the shape of the angles.
-    Source: document 003, equation (7); truth sheet 4.4.
-    """
-    withheld = withheld_moment(crank, torque, pin_hinge=pin_hinge)
-    return withheld / (crank.rod_length_m * rod_motion(crank_angle_rev, crank).rod_cosine)
-
-
-def mean_rod_cosine(crank: HingedCrank, *, truncated: bool = False) -> float:
-    """Mean of cos ψ over the crank angle: 2E(λ²)/π, or 1 − λ²/4 where ``truncated`` as document 003 has it.
-
-    ``crank``: lengths. Source: truth sheet 4.3.
-    """
-    from scipy.special import ellipe
-
-    squared = crank.mechanism.crank_ratio**2
-    return 1 - squared / 4 if truncated else float(2 / np.pi * ellipe(squared))
-
-
-def mean_gas_moment(crank: HingedCrank, torque: CrankTorque) -> float:
-    """Mean ⟨T⟩ (N·m) of the moment of the potential gas force about the crank pin over the crank angle.
-
-    ``crank``: lengths, of which λ alone matters. ``torque``: of the crank. Source: truth sheet 4.3.
-    """
-    crank_angle_rev, weight_rev = branch_quadrature(crank, torque)
-    return float(weight_rev @ gas_moment(crank_angle_rev, crank, torque))
-
-
-def branch_quadrature(crank: HingedCrank, torque: CrankTorque) -> tuple[Angles, Angles]:
-    """Crank angles and weights (both in revolutions) whose sum is a mean over the revolution, to round-off.
-
-    Gauss–Legendre points between the kinks of the torque. The rod makes the integrand singular at complex angles beside
-    90° and 270°, the nearer the shorter it is: towards these the panels shrink in steps, so that their number grows but
-    slowly and each needs the same few points. ``crank``: lengths. ``torque``: of the crank.
-    """
-    shortness = crank.mechanism.margin / crank.mechanism.crank_ratio
-    reach_rev = math.log1p(shortness + math.sqrt(shortness * (shortness + 2))) / (2 * np.pi)
-    steps = reach_rev * 3.0 ** np.arange(math.ceil(max(0.0, math.log(0.5 / reach_rev, 3))))
-    graded = np.concatenate([flat + sign * steps for flat in (0.25, 0.75) for sign in (-1, 1)])
-    angles, weights = [], []
-    for branch in torque.branches:
-        first, last = branch.middle_rev - branch.half_width_rev, branch.middle_rev + branch.half_width_rev
-        edges = np.unique([first, *graded[(graded > first) & (graded < last)], last])
-        nodes, shares = _gauss_legendre(_POINTS_BESIDE_SINGULARITY + 2 * len(branch.angle_deg))
-        half = np.diff(edges)[:, None] / 2
-        angles.append((edges[:-1, None] + half * (1 + nodes)).ravel())
-        weights.append((half * shares).ravel())
-    return np.concatenate(angles), np.concatenate(weights)
-
-
-@lru_cache(maxsize=16)
-def _gauss_legendre(count: int) -> tuple[Angles, Angles]:
-    return np.polynomial.legendre.leggauss(count)
+Sheet = dict[str, Any]
+"""A balance document or a part of it, ready for JSON."""
 
 
 def reduced_inertia(crank_angle_rev: ArrayLike, crank: HingedCrank) -> Angles:
@@ -444,21 +319,13 @@ def hinge_guides(table: HingeTable, data: GuideData) -> Guides:
     )
 
 
-class AirSpring(Record):
-    """An air spring at another speed than its guides are cut for."""
-
-    joint: Joint = said("hinge")
-    designed_speed_rpm: float = said("crank speed that the guides are cut for, rpm")
-    speed_rpm: float = said("other crank speed, rpm")
-    pressure_ratio: float = said("charge pressure over that of the designed speed")
-    residual_share: float = said("moment that it lacks over the moment needed, rms")
-    speed_fluctuation: float = said("(fastest − slowest) / mean crank speed that this makes")
-
-
 def air_spring(
     crank: HingedCrank, torque: CrankTorque, *, joint: Joint, designed_speed_rpm: float, speed_rpm: float
-) -> AirSpring:
+) -> dict[str, Any]:
     """Pressure ratio that an air spring in the same guides needs at another speed, and what it leaves undone.
+
+    As the balance document has it: ``residual_share`` is the moment that it lacks over the moment needed, rms, and
+    ``speed_fluctuation`` what this makes of the crank speed, (fastest − slowest) / mean.
 
     The moment of an air spring is its charge pressure times a curve of the guides: one ratio scales it at all angles.
     The moment needed is a part that no speed changes, and one that grows with its square. The ratio is the best in
@@ -488,14 +355,14 @@ def air_spring(
     swing = float(np.ptp(tables[1].work_j - ratio * tables[0].work_j))
     energy = float(np.mean(reduced_inertia(tables[0].crank_angle_rev[:-1], crank))) * (speed_rpm * np.pi / 30) ** 2
     needed_rms = float(np.sqrt(weight @ needed**2))
-    return AirSpring(
-        joint=joint,
-        designed_speed_rpm=designed_speed_rpm,
-        speed_rpm=speed_rpm,
-        pressure_ratio=ratio,
-        residual_share=residual_rms / needed_rms if needed_rms else 0.0,
-        speed_fluctuation=swing / energy,
-    )
+    return {
+        "joint": joint,
+        "designed_speed_rpm": designed_speed_rpm,
+        "speed_rpm": speed_rpm,
+        "pressure_ratio": ratio,
+        "residual_share": residual_rms / needed_rms if needed_rms else 0.0,
+        "speed_fluctuation": swing / energy,
+    }
 
 
 def _spring_moment(
@@ -509,3 +376,173 @@ def _over_radius(moment_nm: float, radius_m: float, name: str) -> float:
     if radius_m == 0:
         raise RequestError(f"{name} is zero: a counterweight without a radius balances nothing", found=radius_m)
     return moment_nm / radius_m
+
+
+# The sheet.
+
+
+TABLE_STEPS = 36
+"""Rows of a hinge's characteristic in the sheet: every 10° of its own angle."""
+
+ROUND_OFF = 1e-12
+"""A force or work below this share of its terms is what is left of terms that cancel, and set to zero."""
+
+CRANK_ENGINE_PARTS = ("lambda", "harmonics", "force_g_mm", "strategies", "shafts", "crankshaft")
+"""What every balance document names and an engine with elastic hinges does not have; each mechanism has its own λ."""
+
+GUIDE_STEPS = 20 * TABLE_STEPS
+"""Rows from which guides are cut: half a degree."""
+
+_ANGLES = np.arange(1440) / 1440
+JOINTS: tuple[Joint, ...] = get_args(Joint)
+KINDS: tuple[PinHinge, ...] = get_args(PinHinge)
+T = TypeVar("T")
+
+
+def hinge_sheet(engine: HingedEngine, *, max_order: int, speeds_rpm: Sequence[float] | None = None) -> Sheet:
+    """Torque, hinge moments, side forces and solutions of an engine with elastic hinges, as a balance document.
+
+    ``engine``: torque curve and mechanisms. ``max_order``: highest harmonic of the torque, ≥ 1. ``speeds_rpm``: crank
+    speeds, > 0; those of each mechanism where left out. Raises RequestError where a mechanism has no speed.
+    """
+    slender = any(data.rod_inertia_kg_m2 is None for data in engine.mechanisms)
+    orders, curve = np.arange(1, max_order + 1), engine.curve
+    amplitudes = np.abs(torque_harmonics(orders, curve))
+    return {
+        "engine": engine.title,
+        "kind": engine.kind,
+        **dict.fromkeys(CRANK_ENGINE_PARTS),
+        "torque": {
+            "mean_nm": curve.mean_nm,
+            "work_per_rev_j": curve.work_per_rev_j,
+            "extrema": [
+                {"crank_angle_deg": float(360 * angle), "torque_nm": float(extremum)}
+                for angle, extremum in zip(*torque_extrema(curve), strict=True)
+            ],
+            "harmonics_nm": {str(order): float(value) for order, value in zip(orders, amplitudes, strict=True)},
+        },
+        "mechanisms": [_mechanism(data, curve, speeds_rpm) for data in engine.mechanisms],
+        "notes": ["Rods without a stated moment of inertia are taken as uniform and slender."] if slender else [],
+    }
+
+
+def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[float] | None) -> Sheet:
+    """What the hinges of one mechanism must give, and what to choose."""
+    crank = data.crank
+    speeds = tuple(speeds_rpm or data.speeds_rpm)
+    if not speeds or not all(math.isfinite(speed) and speed > 0 for speed in speeds):
+        remedy = "Give one with --speed"
+        raise RequestError("a mechanism needs a speed", place=data.name, found=speeds, allowed="> 0", remedy=remedy)
+    shaking = [_largest(force) for force in shaking_force(_ANGLES, crank)]
+    if max(shaking) < ROUND_OFF * sum(mass * crank.rod_length_m for mass, _ in crank.rod_points):
+        shaking = [0.0, 0.0]
+    by_key = {str(round(speed, 6)): speed for speed in speeds}
+    works = {"pin": pin_hinge_work, "strut": strut_hinge_work}
+    stated = zip(JOINTS, (data.pin_guides, data.strut_guides), strict=True)
+    return {
+        "name": data.name,
+        "lambda": crank.mechanism.crank_ratio,
+        "static_moment_nm": crank.static_moment_nm,
+        "weight_moment_nm": weight_moment(crank),
+        "mean_gas_moment_nm": mean_gas_moment(crank, curve),
+        "shaking_force_kg_m": dict(zip("xy", shaking, strict=True)),
+        "side_force_without_hinge_n": {
+            key: _largest(side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed))
+            for key, speed in by_key.items()
+        },
+        "curves": {key: _curves(crank, curve, speed) for key, speed in by_key.items()},
+        "side_force_n": {kind: _largest(side_force(_ANGLES, crank, curve, pin_hinge=kind)) for kind in KINDS},
+        "work_j": {
+            kind: {joint: work(crank, curve, pin_hinge=kind) for joint, work in works.items()} for kind in KINDS
+        },
+        "solutions": _solutions(crank, curve),
+        "characteristic": {joint: _characteristic(crank, curve, joint, max(speeds)) for joint in JOINTS},
+        "air_spring": [
+            spring
+            for joint in JOINTS
+            for speed in speeds[1:]  # the guides are cut for the first
+            if (
+                spring := _solution(
+                    air_spring, crank, curve, joint=joint, designed_speed_rpm=speeds[0], speed_rpm=speed
+                )
+            )
+        ],
+        "guides": {
+            joint: None if guides is None else _guides(crank, curve, joint, max(speeds), guides)
+            for joint, guides in stated
+        },
+    }
+
+
+def _curves(crank: HingedCrank, curve: CrankTorque, speed_rpm: float) -> dict[str, list[float]]:
+    """Figure 3: M12 by (4), by (6) and of a spring, R430 and R43 by (7), every 10° of crank angle."""
+    angles = np.arange(TABLE_STEPS + 1) / TABLE_STEPS
+    moments = {kind: hinge_moment(angles, crank, curve, speed_rpm=speed_rpm, pin_hinge=kind) for kind in KINDS}
+    return {
+        "crank_angle_deg": (360 * angles).tolist(),
+        **{f"m12_{kind}_nm": moment.tolist() for kind, moment in moments.items()},
+        "r430_n": side_force_without_hinge(angles, crank, curve, speed_rpm=speed_rpm).tolist(),
+        "r43_printed_n": side_force(angles, crank, curve, pin_hinge="printed").tolist(),
+    }
+
+
+def _guides(crank: HingedCrank, curve: CrankTorque, joint: Joint, speed_rpm: float, data: GuideData) -> Sheet:
+    """Spring and guides of a hinge over its own angle."""
+    guides = hinge_guides(hinge_table(crank, curve, joint=joint, speed_rpm=speed_rpm, n_steps=GUIDE_STEPS), data)
+    rows = slice(None, None, GUIDE_STEPS // TABLE_STEPS)
+    sheet = {
+        "speed_rpm": speed_rpm,
+        **{key: getattr(guides, key) for key in ("stiffness_n_per_m", "steepest_deg", "undercut")},
+        "hinge_angle_deg": (360 * guides.hinge_angle_rev[rows]).tolist(),
+        "length_m": guides.length_m[rows].tolist(),
+    }
+    for side, surface in (("outer", guides.outer_m), ("inner", guides.inner_m)):
+        sheet |= {f"{side}_x_m": surface.real[rows].tolist(), f"{side}_y_m": surface.imag[rows].tolist()}
+    return sheet
+
+
+def _largest(values: Angles) -> float:
+    return float(np.abs(values).max())
+
+
+def _solutions(crank: HingedCrank, curve: CrankTorque) -> Sheet:
+    """Weights without side force by kind of hinge, the counterweight of equation (12), those of equation (13)."""
+    kinds: dict[str, dict[str, Any]] = {
+        "potential": {"pin_hinge": "potential"},
+        "printed": {"pin_hinge": "printed"},
+        "printed_truncated": {"pin_hinge": "printed", "truncated": True},
+    }
+    both = _solution(balanced_crank, crank)
+    names = ("rod_counterweight_n", "crank_counterweight_n")
+    return {
+        "weight_without_side_force": {
+            weight: {
+                kind: _solution(weight_without_side_force, crank, curve, weight=weight, **options)
+                for kind, options in kinds.items()
+            }
+            for weight in get_args(Weight)
+        },
+        "crank_counterweight_n": _solution(vertical_counterweight, crank),
+        "balanced": None if both is None else {name: getattr(both, name) for name in names},
+    }
+
+
+def _solution(solve: Callable[..., T], *arguments: object, **options: object) -> T | None:
+    """What ``solve`` returns, None where there is no solution."""
+    try:
+        return solve(*arguments, **options)
+    except RequestError:
+        return None
+
+
+def _characteristic(crank: HingedCrank, curve: CrankTorque, joint: Joint, speed_rpm: float) -> Sheet:
+    """Moment and work of a hinge over its own angle."""
+    table = hinge_table(crank, curve, joint=joint, speed_rpm=speed_rpm, n_steps=TABLE_STEPS)
+    dust = ROUND_OFF * np.abs(table.work_j).max()
+    return {
+        "speed_rpm": speed_rpm,
+        "hinge_angle_deg": (360 * table.hinge_angle_rev).tolist(),
+        "crank_angle_deg": (360 * table.crank_angle_rev).tolist(),
+        "moment_nm": table.moment_nm.tolist(),
+        "work_j": np.where(np.abs(table.work_j) > dust, table.work_j, 0.0).tolist(),
+    }

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from itertools import pairwise
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
@@ -50,6 +50,16 @@ USUAL_SLIP = 0.1
 """Motors that run steadily slip no more: 1 to 5 % at rated load, small ones up to 10 %."""
 
 
+def stated(description: str, *example: object, default: Any = ..., strict: bool | None = None) -> Any:
+    """Field of an engine file or a manifest that the documentation explains.
+
+    ``description``: what it means. ``example``: of its value, or none. ``default``: its value where it is left out;
+    ``...`` where it must be stated. ``strict``: whether no value is converted; the model's own rule where None.
+    """
+    examples = list(example) or None
+    return Field(default=default, description=description, examples=examples, strict=strict)
+
+
 class EngineData(BaseModel):
     """Base of everything that an engine file may hold: frozen, and unknown keys are refused."""
 
@@ -64,38 +74,28 @@ class Bearing(EngineData):
     ``ftf`` are orders of the bearing's own shaft, as makers publish them; they win over the geometry.
     """
 
-    name: Annotated[str, Field(min_length=1)] = Field(description="What results call it.", examples=["jack shaft"])
-    designation: str | None = Field(
+    name: Annotated[str, Field(min_length=1)] = stated("What results call it.", "jack shaft")
+    designation: str | None = stated(
+        "A bearing of the shipped catalogue, which fills what is not stated here.", "6205-2RS", default=None
+    )
+    shaft_ratio: Positive = stated("Turns of the bearing's shaft per crank revolution.", 0.5, default=1.0)
+    rolling_elements: Annotated[int, Field(ge=1)] | None = stated("Number of balls or rollers.", 11, default=None)
+    ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = stated(
+        "Diameter of a rolling element over the pitch diameter.", 0.2032, default=None
+    )
+    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] | None = stated(
+        "Contact angle; 0 of a deep-groove bearing.", 15.0, default=None
+    )
+    bpfo: Positive | None = stated(
+        "Published order of the outer race, per turn of the bearing's shaft; it wins over the geometry.",
+        3.58,
         default=None,
-        description="A bearing of the shipped catalogue, which fills what is not stated here.",
-        examples=["6205-2RS"],
     )
-    shaft_ratio: Positive = Field(
-        default=1.0, description="Turns of the bearing's shaft per crank revolution.", examples=[0.5]
+    bpfi: Positive | None = stated("Published order of the inner race.", 5.42, default=None)
+    bsf: Positive | None = stated(
+        "Published order of the spin of a rolling element; a fault shows at twice it.", 2.36, default=None
     )
-    rolling_elements: Annotated[int, Field(ge=1)] | None = Field(
-        default=None, description="Number of balls or rollers.", examples=[11]
-    )
-    ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = Field(
-        default=None, description="Diameter of a rolling element over the pitch diameter.", examples=[0.2032]
-    )
-    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] | None = Field(
-        default=None, description="Contact angle; 0 of a deep-groove bearing.", examples=[15.0]
-    )
-    bpfo: Positive | None = Field(
-        default=None,
-        description="Published order of the outer race, per turn of the bearing's shaft; it wins over the geometry.",
-        examples=[3.58],
-    )
-    bpfi: Positive | None = Field(default=None, description="Published order of the inner race.", examples=[5.42])
-    bsf: Positive | None = Field(
-        default=None,
-        description="Published order of the spin of a rolling element; a fault shows at twice it.",
-        examples=[2.36],
-    )
-    ftf: Annotated[float, Field(gt=0, lt=1)] | None = Field(
-        default=None, description="Published order of the cage.", examples=[0.398]
-    )
+    ftf: Annotated[float, Field(gt=0, lt=1)] | None = stated("Published order of the cage.", 0.398, default=None)
 
     @field_validator("designation")
     @classmethod
@@ -177,17 +177,13 @@ class Motor(EngineData):
     lines that go with the shaft are named. ``poles`` counts poles, not pairs: 4 turn at 1500 rpm on 50 Hz, less slip.
     """
 
-    supply_hz: Positive | None = Field(
-        default=None,
-        description="Frequency of the supply; left out for a motor on a variable-speed drive.",
-        examples=[50.0],
+    supply_hz: Positive | None = stated(
+        "Frequency of the supply; left out for a motor on a variable-speed drive.", 50.0, default=None
     )
-    poles: Count | None = Field(
-        default=None, description="Poles, not pairs: 4 turn somewhat below 1500 rpm on 50 Hz.", examples=[4]
-    )
-    rotor_bars: Count | None = Field(default=None, description="Bars of the rotor.", examples=[44])
-    stator_slots: Count | None = Field(default=None, description="Slots of the stator.", examples=[36])
-    shaft_ratio: Positive = Field(default=1.0, description="Turns of the motor per crank revolution.", examples=[1.0])
+    poles: Count | None = stated("Poles, not pairs: 4 turn somewhat below 1500 rpm on 50 Hz.", 4, default=None)
+    rotor_bars: Count | None = stated("Bars of the rotor.", 44, default=None)
+    stator_slots: Count | None = stated("Slots of the stator.", 36, default=None)
+    shaft_ratio: Positive = stated("Turns of the motor per crank revolution.", 1.0, default=1.0)
 
     @field_validator("poles")
     @classmethod
@@ -261,12 +257,10 @@ def motor_lines(motor: Motor) -> tuple[MotorLine, ...]:
 class PathMode(EngineData):
     """One mode of a stated path: its natural frequency, damping ratio and residue (1/kg) in h = −x²/(1 − x² + 2iζx)."""
 
-    frequency_hz: Positive = Field(description="Natural frequency.", examples=[60.0])
-    damping_ratio: Annotated[float, Field(gt=0, lt=1)] = Field(description="Damping ratio.", examples=[0.02])
-    residue_per_kg: float = Field(description="Real part of the residue, in 1/kg.", examples=[0.003])
-    residue_imag_per_kg: float = Field(
-        default=0.0, description="Imaginary part of the residue, in 1/kg.", examples=[0.0001]
-    )
+    frequency_hz: Positive = stated("Natural frequency.", 60.0)
+    damping_ratio: Annotated[float, Field(gt=0, lt=1)] = stated("Damping ratio.", 0.02)
+    residue_per_kg: float = stated("Real part of the residue, in 1/kg.", 0.003)
+    residue_imag_per_kg: float = stated("Imaginary part of the residue, in 1/kg.", 0.0001, default=0.0)
 
 
 class StatedPath(EngineData):
@@ -278,36 +272,33 @@ class StatedPath(EngineData):
     read. It holds within ``frequency_range_hz`` (needed but for a table), to ``uncertainty_percent`` (95 %).
     """
 
-    channel: Annotated[str, Field(min_length=1)] = Field(
-        description="Name of a channel of acceleration.", examples=["Z"]
+    channel: Annotated[str, Field(min_length=1)] = stated("Name of a channel of acceleration.", "Z")
+    direction: Direction = stated(
+        "Direction of the force on the crankcase: X across, Y along the crankshaft, Z along the cylinder.", "Z"
     )
-    direction: Direction = Field(
-        description="Direction of the force on the crankcase: X across, Y along the crankshaft, Z along the cylinder.",
-        examples=["Z"],
+    apparent_mass_kg: Positive | None = stated(
+        "Force per acceleration of a rigid body; one of three forms.", 330.0, default=None
     )
-    apparent_mass_kg: Positive | None = Field(
-        default=None, description="Force per acceleration of a rigid body; one of three forms.", examples=[330.0]
-    )
-    table: Annotated[str, Field(min_length=1)] | None = Field(
+    table: Annotated[str, Field(min_length=1)] | None = stated(
+        "CSV file beside the manifest, columns frequency_hz, real, imag (1/kg); one of three forms.",
+        "path_z.csv",
         default=None,
-        description="CSV file beside the manifest, columns frequency_hz, real, imag (1/kg); one of three forms.",
-        examples=["path_z.csv"],
     )
-    points: tuple[tuple[float, float, float], ...] = Field(
-        default=(), strict=False, description="Rows of that table once it is read; never stated."
+    points: tuple[tuple[float, float, float], ...] = stated(
+        "Rows of that table once it is read; never stated.", default=(), strict=False
     )
-    modes: tuple[PathMode, ...] = Field(
+    modes: tuple[PathMode, ...] = stated(
+        "Modes of the path; one of three forms.",
+        [{"frequency_hz": 60.0, "damping_ratio": 0.02, "residue_per_kg": 0.003}],
         default=(),
         strict=False,
-        description="Modes of the path; one of three forms.",
-        examples=[[{"frequency_hz": 60.0, "damping_ratio": 0.02, "residue_per_kg": 0.003}]],
     )
-    rigid_per_kg: float = Field(default=0.0, description="What is added to the modes, in 1/kg.", examples=[0.002])
-    frequency_range_hz: tuple[NonNegative, Positive] | None = Field(
-        default=None, strict=False, description="Where the path holds; needed but for a table.", examples=[[5.0, 40.0]]
+    rigid_per_kg: float = stated("What is added to the modes, in 1/kg.", 0.002, default=0.0)
+    frequency_range_hz: tuple[NonNegative, Positive] | None = stated(
+        "Where the path holds; needed but for a table.", [5.0, 40.0], default=None, strict=False
     )
-    uncertainty_percent: NonNegative = Field(
-        default=0.0, description="Half width of the 95 % interval of the path, in % of it.", examples=[3.0]
+    uncertainty_percent: NonNegative = stated(
+        "Half width of the 95 % interval of the path, in % of it.", 3.0, default=0.0
     )
 
     @model_validator(mode="after")
@@ -343,20 +334,16 @@ class AddedMass(EngineData):
     ``cylinder``. ``mass_g`` is below 0 where mass was taken away.
     """
 
-    mass_g: float = Field(description="Mass in g; below 0 where some was taken away; not 0.", examples=[100.0])
-    on: Literal["crank", "piston"] = Field(
-        default="crank", description="What carries it: the turning crank or the piston.", examples=["piston"]
+    mass_g: float = stated("Mass in g; below 0 where some was taken away; not 0.", 100.0)
+    on: Literal["crank", "piston"] = stated(
+        "What carries it: the turning crank or the piston.", "piston", default="crank"
     )
-    radius_mm: Positive | None = Field(
-        default=None, description="Distance from the shaft's axis; needed on the crank.", examples=[60.0]
+    radius_mm: Positive | None = stated("Distance from the shaft's axis; needed on the crank.", 60.0, default=None)
+    angle_deg: float = stated(
+        "From where the crank pin of cylinder 0 points, in the sense of rotation.", 180.0, default=0.0
     )
-    angle_deg: float = Field(
-        default=0.0,
-        description="From where the crank pin of cylinder 0 points, in the sense of rotation.",
-        examples=[180.0],
-    )
-    cylinder: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="Number of the cylinder whose piston carries it, from 0.", examples=[0]
+    cylinder: Annotated[int, Field(ge=0)] = stated(
+        "Number of the cylinder whose piston carries it, from 0.", 0, default=0
     )
 
     @model_validator(mode="after")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -11,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import inertia_torque
-from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.forces import gas_torque_by_order, inertia_torque
 from crankorder.engine.slider_crank import Complex
 from crankorder.errors import RequestError
 
@@ -149,12 +149,8 @@ def lag_from_torque(
         gas = gas_torque_by_order(engine, math.ceil(highest_order))[1][: masses.size] / omega**2
     orders = np.arange(masses.size) / cycle
     work = [_work(torque, orders) * 2 / flywheel_inertia_kg_m2 for torque in (masses, masses + gas)]
-    n_angles = _enough_angles(masses.size - 1)
-    while True:
-        inertia, both = (_lines(_rise(over_a_cycle(energy, n_angles))) for energy in work)
-        if (_is_resolved(inertia) and _is_resolved(both)) or n_angles >= MOST_ANGLES:
-            return _lag(inertia, both - inertia if with_gas else np.zeros_like(both), 1 / cycle, speed_rpm)
-        n_angles *= 2
+    inertia, both = _resolved(lambda n_angles: [_rise(over_a_cycle(energy, n_angles)) for energy in work], masses.size)
+    return _lag(inertia, both - inertia if with_gas else np.zeros_like(both), 1 / cycle, speed_rpm)
 
 
 def lag_of_speed(speed: Complex, *, step: float) -> Lag:
@@ -166,16 +162,16 @@ def lag_of_speed(speed: Complex, *, step: float) -> Lag:
     ``speed``: complex (k,), share of the mean speed at 0, 1, 2, … steps. ``step``: order of one step, > 0. Raises
     RequestError where the speed falls below a tenth of its mean.
     """
-    n_angles = _enough_angles(speed.size - 1)
-    while True:
+
+    def rise(n_angles: int) -> list[Floats]:
         even = over_a_cycle(speed, n_angles)
         if even.min() <= SLOWEST_SHARE - 1:
             raise _too_slow(1 + float(even.min()), "by_order")
-        rise = 1 / (1 + even)
-        lines = _lines(rise / rise.mean())
-        if _is_resolved(lines) or n_angles >= MOST_ANGLES:
-            return _lag(lines, np.zeros_like(lines), step, 1.0)
-        n_angles *= 2
+        slowness = 1 / (1 + even)
+        return [slowness / slowness.mean()]
+
+    (lines,) = _resolved(rise, speed.size)
+    return _lag(lines, np.zeros_like(lines), step, 1.0)
 
 
 def stops_within_cycle(speed_rpm: float, slowest_rpm: float) -> RequestError:
@@ -209,8 +205,19 @@ def _rise(energy: Floats) -> Floats:
     return 1 / np.sqrt(level + energy)
 
 
-def _enough_angles(highest_line: int) -> int:
-    return 1 << max(10, math.ceil(math.log2(16 * (highest_line + 1))))
+def _resolved(rises: Callable[[int], list[Floats]], n_lines: int) -> list[Complex]:
+    """Lines of the curves that ``rises`` gives over a cycle of so many angles, doubled until the upper half is nothing.
+
+    ``n_lines``: of the torque or speed that makes them.
+    """
+    n_angles = 1 << max(10, math.ceil(math.log2(16 * n_lines)))
+    while True:
+        every = [np.fft.rfft(values) * (2 / n_angles) for values in rises(n_angles)]
+        for lines in every:
+            lines[0] /= 2
+        if n_angles >= MOST_ANGLES or all(np.abs(lines[lines.size // 2 :]).max() <= NOTHING for lines in every):
+            return every
+        n_angles *= 2
 
 
 def over_a_cycle(lines: Complex, n_angles: int) -> Floats:
@@ -219,16 +226,6 @@ def over_a_cycle(lines: Complex, n_angles: int) -> Floats:
     padded[: lines.size] = lines
     padded[1:] /= 2
     return np.fft.irfft(padded, n_angles) * n_angles
-
-
-def _lines(values: Floats) -> Complex:
-    lines: Complex = np.fft.rfft(values) * (2 / values.size)
-    lines[0] /= 2
-    return lines
-
-
-def _is_resolved(lines: Complex) -> bool:
-    return bool(np.abs(lines[lines.size // 2 :]).max() <= NOTHING)
 
 
 def _lag(inertia: Complex, gas: Complex, step: float, reference_rpm: float) -> Lag:

@@ -11,8 +11,7 @@ import numpy as np
 
 from crankorder.cause import Cause, CauseKind
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import crankcase_forces, crankcase_moments
-from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.forces import crankcase_forces, crankcase_moments, gas_torque_by_order
 from crankorder.engine.machine_parts import AddedMass, Bearing, Motor, StatedPath, bearing_orders
 from crankorder.errors import RequestError
 from crankorder.findings import OrderFinding, Quality

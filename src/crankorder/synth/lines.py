@@ -10,8 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numba import njit
 
-from crankorder.engine.forces import crankcase_forces, crankcase_moments, two_masses
-from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.forces import crankcase_forces, crankcase_moments, gas_torque_by_order, two_masses
 from crankorder.engine.machine_parts import bearing_orders
 from crankorder.engine.slider_crank import piston_velocity, rod_angle, sine_cosine
 from crankorder.engine.torsional_fluctuation import Lag, lag_from_torque, lag_of_speed

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from crankorder.engine.definition import load_engine
-from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.forces import gas_torque_by_order
 from crankorder.engine.machine_parts import bearing_orders
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import shipped, toml_table, validation_fault

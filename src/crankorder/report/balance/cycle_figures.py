@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import xarray as xr
@@ -15,26 +15,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from crankorder.engine.balance_data import speed_key
-from crankorder.engine.cycle_tables import OrderTorque, TurningMoment, cycle_curves
+from crankorder.engine.cycle_tables import cycle_curves
 from crankorder.engine.definition import Engine
-from crankorder.engine.elastic_hinge import (
-    Guides,
-    Joint,
-    hinge_guides,
-    hinge_moment,
-    hinge_table,
-    side_force,
-    side_force_without_hinge,
-)
-from crankorder.engine.hinge_sheet import GUIDE_STEPS
+from crankorder.engine.elastic_hinge import GUIDE_STEPS, Guides, Joint, hinge_guides, hinge_table
+from crankorder.engine.forces import speed_key
 from crankorder.engine.hinged_crank import (
     CrankTorque,
     GuideData,
     HingedCrankData,
     HingedEngine,
     crank_torque,
+    hinge_moment,
     potential_torque,
+    side_force,
+    side_force_without_hinge,
     torque_extrema,
 )
 from crankorder.plot.drawing import Box
@@ -88,9 +82,7 @@ def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
     return xr.Dataset(variables, coords=coords)
 
 
-def torque_figure(
-    cycle: xr.Dataset, turning: Mapping[str, TurningMoment], *, title: str, settings: ReportSettings
-) -> Figure:
+def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Figure:
     """Turning moment of gas and masses against crank angle at the highest speed, and both by order beside one another.
 
     ``cycle`` as :func:`cycle_dataset` makes it; ``turning`` by speed, of the balance sheet; ``title`` of the engine;
@@ -109,28 +101,28 @@ def torque_figure(
             curves = [("gas", LINES[1], gas), *curves, (_SUM, INK, gas + masses)]
         box = (_LEFT, _BOTTOM + height + _GAP, width, height)
         axes = _cycle_curves(figure, box, shown, curves, "N·m", width=1.3)
-        if moment.power_w is not None:
-            axes.axhline(moment.mean_n_m, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
-        _order_bars(axes_at(figure, _LEFT, _BOTTOM, width, height), moment.by_order, with_gas=with_gas)
-        ends = f"{number_text(moment.least_n_m)} to {number_text(moment.peak_n_m)} N·m"
-        mean = "" if moment.power_w is None else f"; mean {number_text(moment.mean_n_m)} N·m (dashed)"
-        swing = moment.speed_fluctuation
+        if moment["power_w"] is not None:
+            axes.axhline(moment["mean_n_m"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+        _order_bars(axes_at(figure, _LEFT, _BOTTOM, width, height), moment["by_order"], with_gas=with_gas)
+        ends = f"{number_text(moment['least_n_m'])} to {number_text(moment['peak_n_m'])} N·m"
+        mean = "" if moment["power_w"] is None else f"; mean {number_text(moment['mean_n_m'])} N·m (dashed)"
+        swing = moment["speed_fluctuation"]
         swings = "" if swing is None else f"; the speed swings by {number_text(100 * swing)} %"
         line = f"Torque on the crank at {speed_key(speed)} rpm, {ends}{mean}{swings}."
         title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · turning moment", line)
         return figure
 
 
-def _order_bars(axes: Axes, by_order: Mapping[str, OrderTorque], *, with_gas: bool) -> None:
+def _order_bars(axes: Axes, by_order: Mapping[str, Any], *, with_gas: bool) -> None:
     quiet_frame(axes)
     axes.grid(False, axis="x")
-    sizes = {order: torque.largest_n_m for order, torque in by_order.items()}
+    sizes = {order: max(torque["gas_n_m"], torque["inertia_n_m"]) for order, torque in by_order.items()}
     largest = max(sizes.values(), default=0.0)
     orders = [order for order in by_order if sizes[order] > _SHOWN_SHARE * largest][:_MOST_ORDERS]
     places = np.arange(len(orders))
     kinds = [("gas_n_m", LINES[1]), ("inertia_n_m", LINES[0])] if with_gas else [("inertia_n_m", LINES[0])]
     for number, (key, color) in enumerate(kinds):
-        values = [getattr(by_order[order], key) for order in orders]
+        values = [by_order[order][key] for order in orders]
         beside = places + (number - (len(kinds) - 1) / 2) * 0.36
         axes.bar(beside, values, 0.33, color=color, gid=f"bars-{key}")
         for place, value in zip(beside, values, strict=True):

@@ -9,8 +9,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crankorder.engine.balance_data import speed_key
-from crankorder.engine.balancing import unbalance_force_n
+from crankorder.engine.forces import speed_key, unbalance_force_n
 from crankorder.plot.drawing import Box
 from crankorder.plot.painter import axes_at, house_style, log_axis, new_figure, note, quiet_frame, title_lines, write
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, drawable, text_width_in
