@@ -214,8 +214,8 @@ def _pieces(path: Path, layout: _Layout, n_lines: int | None) -> Iterator[tuple[
 def parsed(source: Path | BinaryIO, separator: str, *, decimal_comma: bool, encoding: str, **options: Any) -> Any:
     """Table of numbers (float64) that pandas reads from ``source``, or pieces of it where ``options`` have a chunksize.
 
-    Cells are parted by ``separator`` (a blank: any white space), decimals written after a comma where ``decimal_comma``,
-    text in ``encoding``; ``options`` go to ``pandas.read_csv``. Raises what pandas raises where a cell is no number.
+    Cells are parted by ``separator`` (a blank: any white space), decimals follow a comma where ``decimal_comma``, the
+    text is in ``encoding``; ``options`` go to ``pandas.read_csv``. Raises what pandas raises where a cell is no number.
     """
     import pandas as pd
 
