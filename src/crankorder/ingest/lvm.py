@@ -18,6 +18,7 @@ import numpy as np
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
     Contents,
+    Described,
     FloatArray,
     RawFile,
     Source,
@@ -283,15 +284,14 @@ def _timing(
     starts, flags = starts_by_date({name: date for name, date in dates.items() if not np.isnat(date)}, starts, path)
     flags += [remark for _, _, remarks in kinds.values() for remark in remarks]
     attrs = next(iter(kinds.values()))[1]
-    contents = Contents(
-        format="LVM",
-        names=tuple(columns),
-        units={name: column.unit for name, column in columns.items() if column.unit},
-        rates_hz=rates,
-        starts_s=starts,
-        rate_uncertainty=attrs["rate_uncertainty"],
+    described = {
+        name: Described(None, column.unit, rates.get(name), starts.get(name)) for name, column in columns.items()
+    }
+    return (
+        Contents.of("LVM", described, rate_uncertainty=attrs["rate_uncertainty"]),
+        attrs,
+        [remark for number, remark in enumerate(flags) if remark not in flags[:number]],
     )
-    return contents, attrs, [remark for number, remark in enumerate(flags) if remark not in flags[:number]]
 
 
 def _rate(
