@@ -88,7 +88,9 @@ def _parsed(
         scalars = {name: float(values.item()) for name, values in arrays.items() if values.size == 1}
         names = names_of(sources, (*columns, *scalars), path).values()
         wanted = {name: columns[name] if name in columns else np.array([scalars[name]]) for name in names}
-        floats = {name: values.astype(float_type_for(values.dtype)) for name, values in wanted.items()}
+        floats: dict[str, FloatArray] = {
+            name: values.astype(float_type_for(values.dtype)) for name, values in wanted.items()
+        }
         return _contents(columns, scalars), floats, twice
 
     n_bytes = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
@@ -100,6 +102,7 @@ def _variables(path: Path, settings: IngestSettings) -> tuple[dict[str, Any], li
 
     The sizes that the file claims are checked before anything is read.
     """
+    check_budget(path.stat().st_size, settings)
     warnings.simplefilter("ignore")  # of a process that ends with this file; a variable written twice is told by a flag
     listed = whosmat(path, appendmat=False)
     if len(listed) > settings.max_objects:
@@ -120,7 +123,7 @@ def _numeric(variables: Mapping[str, Any], settings: IngestSettings) -> tuple[di
     """Arrays of real numbers in ``variables`` and what lies in them, by name, and the kinds of all others."""
     arrays: dict[str, Array] = {}
     others: set[str] = set()
-    pending = [(printable(name, 200), value, 0) for name, value in reversed(variables.items())]
+    pending = [(printable(name, 200), value, 0) for name, value in reversed(list(variables.items()))]
     n_objects = 0
     while pending:
         name, value, depth = pending.pop()
