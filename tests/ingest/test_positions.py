@@ -203,8 +203,8 @@ def as_mdf4(folder, angle, pressure):
 WRITERS = [as_text, as_hdf5, as_matlab, as_mdf4]
 
 
-@pytest.mark.parametrize("write", WRITERS)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("write", "seed"), [*((write, 1) for write in WRITERS), (as_text, 2)])
+@pytest.mark.cases(5)
 def test_a_manifest_that_contradicts_the_files_angles_is_refused_and_a_right_one_is_not(tmp_path, read_in, write, seed):
     rng = np.random.default_rng(seed)
     per_rev = int(rng.choice([180, 360, 1024]))
