@@ -557,9 +557,9 @@ def doctor(out: Path) -> None:
     lines = [f"crankorder {version('crankorder')}, Python {platform.python_version()}"]
     lines += [f"{name} {number}" for name, number in library_versions().items() if name != "crankorder"]
     try:
-        lines.append(f"openpyxl {version('openpyxl')}: XLSX recordings can be read")
+        lines.append(f"python-calamine {version('python-calamine')}: XLSX recordings can be read")
     except PackageNotFoundError:
-        lines.append("openpyxl is missing: for XLSX recordings `pip install crankorder[xlsx]`")
+        lines.append("python-calamine is missing: for XLSX recordings `pip install crankorder[xlsx]`")
     existing = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
     lines.append(f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB")
     # the spectrum of cos(2 pi 5 t + 1) at its bin is exp(1j)

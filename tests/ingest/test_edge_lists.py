@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from crankorder.errors import InputError
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.manifest import load_manifest, parts_of
+from crankorder.quantities import flags_of
 from made.command import analysed, crankorder, done, findings_in
 from made.recordings import write_hdf5
 
@@ -199,7 +201,7 @@ def test_keys_that_do_not_fit_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "edge"), [("edge_list", "rising"), ("edge_list", "falling"), ("pulse_times", "rising")]
 )
-def test_zeros_behind_the_last_edge_are_left_out_and_other_bad_rows_named(tmp_path, kind, edge):
+def test_zeros_behind_the_last_edge_are_left_out_and_other_bad_rows_named(tmp_path, read_in, kind, edge):
     folder = joined(tmp_path / "joined")
     rising, falling = edges_of(0)
     rows = rows_of(rising, falling if kind == "edge_list" else ())
@@ -210,13 +212,15 @@ def test_zeros_behind_the_last_edge_are_left_out_and_other_bad_rows_named(tmp_pa
     (folder / "run.toml").write_text(manifest, encoding="utf-8")
     table = folder / "a.edges.csv"
     write_edges(table, [*rows, "0,0", "0,0"])
-    found = analysed(folder, tmp_path / "out", "--no-pictures")
-    assert found["orders"][0]["amplitude"] == pytest.approx(3.0, rel=0.003)
-    assert "2 rows at the end" in flags_in(found)["rows_of_zeros"]["detail"]
+    recording = read_in(folder / "a.h5")
+    expected = falling if edge == "falling" else rising[1:] if kind == "edge_list" else rising
+    np.testing.assert_allclose(recording["pulse_time"], expected, atol=1e-8)
+    (zeros,) = [flag for flag in flags_of(recording) if flag["flag"] == "rows_of_zeros"]
+    assert "2 rows at the end" in zeros["detail"]
     for bad, at in (("0,0", 100), ("nan,nan", len(rows))):
         write_edges(table, [*rows[:at], bad, *rows[at:]])
-        checked = crankorder("check", folder)
-        assert checked.exit_code == 4 and f"row {at + 1} of" in checked.output and "a.edges.csv" in checked.output
+        with pytest.raises(InputError, match=rf"a\.edges\.csv: .*row {at + 1} of"):
+            read_in(folder / "a.h5")
 
 
 # Recordings and the files of their pulses, paired by a part of their names, as a manifest says or a draft finds.
@@ -289,7 +293,8 @@ def test_a_draft_pairs_recordings_with_the_files_of_their_pulses(tmp_path, sampl
     for run in RPM:
         assert drafted.pulses_of(folder / samples.format(run=run)) == folder / events.format(run=run)
     assert "1                # ? 15 pulses/s at the stated speed" in text
-    is_right(analysed(folder, tmp_path / "out", "--no-pictures"))
+    if (samples, events) == NAMES[0]:
+        is_right(analysed(folder, tmp_path / "out", "--no-pictures"))
 
 
 @pytest.mark.parametrize("other", ["temperature", "speed", "later"])
@@ -331,5 +336,3 @@ def test_parts_that_do_not_pair_are_refused(tmp_path):
         checked = crankorder("check", folder)
         assert bool(checked.exit_code) == bool(words), checked.output
         assert words in checked.output
-    manifest(folder, "ACC_{run}.csv", "HALL_{run}.csv")
-    is_right(analysed(folder, tmp_path / "out", "--no-pictures"))

@@ -92,52 +92,31 @@ def test_all_faults_of_one_manifest_are_listed_with_key_and_line(tmp_path):
     assert "Did you mean 'index'?" in text
 
 
-def test_a_rate_that_is_no_positive_number_is_refused(tmp_path):
-    for value in ["nan", "inf", "-inf", "-1.0", "0"]:
-        (fault,) = faults_of(tmp_path, GOOD.replace("rate_hz = 50000", f"rate_hz = {value}"))
-        assert "run.toml:12: sampling.rate_hz" in fault
+TEETH = "pulses_per_rev = 360"
+SECOND = '[[channels]]\nname = "Z"\nunit = "V"\n[encoder]'
+NUMBERS = [("ratio", "1e300"), ("ratio", "1e-300"), ("index_to_tdc_deg", "1e308"), ("missing_teeth", "5000000000")]
+CONTRADICTIONS = [
+    *(("= 50000", f"= {rate}", "run.toml:12: sampling.rate_hz") for rate in ("nan", "-inf", "-1.0", "0")),
+    *((TEETH, f"pulses_per_rev = {n}", "encoder.pulses_per_rev: must be") for n in ("9" * 26, "1000000000")),
+    *((TEETH, f"{TEETH}\n{key} = {value}", f"encoder.{key}: must be") for key, value in NUMBERS),
+    ("100 mV/g", "77 mV/bar", "channels.0.sensitivity: bar (pressure) cannot become m/s2 (acceleration)"),
+    ('"acceleration"', '"sound pressure"', "channels.0.quantity: quantity and unit disagree: m/s2 is a unit of"),
+    (TEETH, f'{TEETH}\npattern = "60-2"', "stated by pattern and by pulses_per_rev"),
+    (TEETH, 'pattern = "36-2-l"', "unknown wheel; found '36-2-l'"),
+    (TEETH, "tooth_angles_deg = [0, 90, 80]", "tooth angles must rise"),
+    (TEETH, "tooth_angles_deg = [10, 90]", "tooth angles start at 0"),
+    (TEETH, f"{TEETH}\ncam_to_tdc_deg = 3.0", "cam_to_tdc_deg needs cam"),
+    ('source = "encoder"\n', "", "an encoder of kind 'square' needs source"),
+    (TEETH, "pulses_per_rev = 2\nmissing_teeth = 2", "more teeth are missing than the wheel has"),
+    ('domain = "time"', 'domain = "crank_angle"', "samples by crank angle need samples_per_rev"),
+    ("rolling_elements = 11\n", "", "a bearing needs a designation, rolling_elements and ball_over_pitch, or"),
+    ("[encoder]", SECOND, "two channels have the same name"),
+]  # fmt: skip
 
 
-def test_numbers_that_no_encoder_has_are_refused_before_anything_is_read(tmp_path):
-    rows = [
-        ("pulses_per_rev", "99999999999999999999999999"), ("pulses_per_rev", "1000000000"), ("ratio", "1e300"),
-        ("ratio", "1e-300"), ("index_to_tdc_deg", "1e308"), ("missing_teeth", "5000000000"),
-    ]  # fmt: skip
-    for key, value in rows:
-        text = GOOD.replace("pulses_per_rev = 360\n", "") if key == "pulses_per_rev" else GOOD
-        faults = faults_of(tmp_path, text.replace("[encoder]\n", f"[encoder]\n{key} = {value}\n"))
-        assert any(f"encoder.{key}: must be" in fault for fault in faults)
-
-
-def test_a_sensitivity_or_a_quantity_that_contradicts_the_unit_is_refused(tmp_path):
-    rows = [
-        ("100 mV/g", "77 mV/bar", "sensitivity: bar (pressure) cannot become m/s2 (acceleration)"),
-        ('"acceleration"', '"sound pressure"', "quantity: quantity and unit disagree: m/s2 is a unit of acceleration"),
-    ]
-    for old, new, words in rows:
-        (fault,) = faults_of(tmp_path, GOOD.replace(old, new))
-        assert f"channels.0.{words}" in fault
-
-
-def test_keys_that_need_each_other_are_checked_together(tmp_path):
-    rows = [
-        ("pulses_per_rev = 360", 'pulses_per_rev = 360\npattern = "60-2"', "stated by pattern and by pulses_per_rev"),
-        ("pulses_per_rev = 360", 'pattern = "36-2-l"', "unknown wheel; found '36-2-l'"),
-        ("pulses_per_rev = 360", "tooth_angles_deg = [0, 90, 80]", "tooth angles must rise"),
-        ("pulses_per_rev = 360", "tooth_angles_deg = [10, 90]", "tooth angles start at 0"),
-        ("pulses_per_rev = 360", "pulses_per_rev = 360\ncam_to_tdc_deg = 3.0", "cam_to_tdc_deg needs cam"),
-        ('source = "encoder"\n', "", "an encoder of kind 'square' needs source"),
-        ("pulses_per_rev = 360", "pulses_per_rev = 2\nmissing_teeth = 2", "more teeth are missing than the wheel has"),
-        ('domain = "time"', 'domain = "crank_angle"', "samples by crank angle need samples_per_rev"),
-        (
-            "rolling_elements = 11\n",
-            "",
-            "a bearing needs a designation, rolling_elements and ball_over_pitch, or published orders",
-        ),
-        ("[encoder]", '[[channels]]\nname = "Z"\nunit = "V"\n[encoder]', "two channels have the same name"),
-    ]
-    for old, new, words in rows:
-        assert words in "\n".join(faults_of(tmp_path, GOOD.replace(old, new)))
+def test_keys_that_contradict_or_need_each_other_are_refused_with_their_place(tmp_path):
+    for old, new, words in CONTRADICTIONS:
+        assert words in "\n".join(faults_of(tmp_path, GOOD.replace(old, new))), (old, new)
 
 
 def test_a_newer_schema_is_refused(tmp_path):

@@ -164,8 +164,8 @@ def test_a_cell_that_is_no_number_is_named(book, limits):
 
 def test_a_missing_package_names_the_extra(book, limits, monkeypatch):
     path = book(("a",), (1,))
-    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    monkeypatch.setitem(sys.modules, "python_calamine", None)
     with pytest.raises(
-        EnvironmentFailure, match=r"needs the package openpyxl\. Install it with: pip install crankorder\[xlsx\]"
+        EnvironmentFailure, match=r"needs the package python_calamine\. Install it with: pip install crankorder\[xlsx\]"
     ):
         read_file(path, sources=["a"], settings=limits)

@@ -266,6 +266,7 @@ def test_stretches_shorter_than_a_frame_are_refused_with_the_frames_that_would_d
     assert "revs_per_frame = 6" in refused.output and "13.5 between gaps" in refused.output
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("suffix", ["csv", "mat", "h5"])
 def test_stretches_between_gaps_of_parts_of_a_sample_come_at_their_true_times(tmp_path, suffix):
     times, rpm = polled(3)
@@ -296,6 +297,7 @@ def turns_of_buffers(seed, blocks):
     return 1160.0 / 60.0 * samples / 2560.0 + lost[samples // 4096]
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(("suffix", "blocks"), [("mat", 2), ("csv", 3), ("h5", 6)])
 def test_buffers_that_were_joined_are_told_by_shaft_and_channel_and_made_whole(tmp_path, read_in, suffix, blocks):
     signal, tacho = turning(turns_of_buffers(2, blocks), 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import os
 import pickle
 import select
@@ -81,6 +82,7 @@ def _serve(task: Callable[[], Any], answer: IO[bytes], most_bytes: int, seconds:
     status = 1
     try:
         _limit(most_bytes, seconds)
+        faulthandler.disable()  # a crash is told by the exit status
         with Path(os.devnull).open("w") as nowhere:  # parsers print and log what nobody asked for
             os.dup2(nowhere.fileno(), 1)
             os.dup2(nowhere.fileno(), 2)
@@ -126,11 +128,13 @@ def _answer(answer: IO[bytes], status: int | None) -> Any:
     try:
         kind, value = pickle.load(answer)  # written by our own child
     except (EOFError, pickle.UnpicklingError):
-        kind, value = "memory" if status else "nothing", None
+        kind, value = "ended", None
     if kind == "value":
         return value
     if kind == "error":
         raise value
-    raise UnsafeInputError(
-        "takes too much memory to parse", remedy="Split the recording, export it again, or leave it out"
-    )
+    remedy = "Split the recording, export it again, or leave it out"
+    if kind == "ended" and os.WIFSIGNALED(status):
+        died = f"its parser died ({signal.Signals(os.WTERMSIG(status)).name}): damaged, or takes too much memory"
+        raise UnsafeInputError(died, remedy=remedy)
+    raise UnsafeInputError("takes too much memory to parse", remedy=remedy)

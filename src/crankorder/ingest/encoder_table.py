@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, WithJsonSchema
 from pydantic import field_validator as field_check
@@ -191,55 +191,48 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
 
     ``cycle`` is that of the test; ``domain`` that of the samples; ``speeds_stated``: whether recordings have their own.
     """
-    needs: dict[str, object] = {}
-    if encoder.kind in (*TRACE_KINDS, *TIME_KINDS, "speed"):
-        needs = {"source": encoder.source}
-    if encoder.kind == "count":
-        needs["pulses_per_rev"] = encoder.pulses_per_rev
-    elif encoder.kind == "constant" and not speeds_stated and encoder.source is None:
-        needs = {"speed_rpm": encoder.speed_rpm}
+    kind, stated = encoder.kind, encoder.model_fields_set
+    has_pulses, has_marks = kind in (*TRACE_KINDS, *TIME_KINDS), encoder.index is not None or encoder.cam is not None
+    needs = {
+        "source": has_pulses or kind == "speed",
+        "pulses_per_rev": kind == "count",
+        "speed_rpm": kind == "constant" and not speeds_stated and encoder.source is None,
+    }
     faults = [
-        RequestError(f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it")
-        for key, value in needs.items()
-        if value is None
+        _fault(key, f"an encoder of kind {kind!r} needs {key}", remedy="Add it")
+        for key, is_needed in needs.items()
+        if is_needed and getattr(encoder, key) is None
     ]
-    if encoder.expected_rpm is not None and encoder.kind != "vibration":
-        faults.append(RequestError('expected_rpm goes with kind = "vibration"', place="encoder.expected_rpm"))
-    if encoder.second_track is not None and encoder.kind not in TRACE_KINDS:
+    useless = {"missing_teeth", "pattern", "tooth_angles_deg", "second_track"}  # beside an angle or a count
+    useless |= ({"pulses_per_rev"} if kind == "angle" else set()) | (set() if has_marks else {"edge"})
+    useless &= stated if kind in POSITION_KINDS else set()
+    faults += [_fault(key, f"{key} says nothing of kind {kind!r}", remedy=f"Remove {key}") for key in sorted(useless)]
+    of_file = [key for key in ("time_source", "offset_s") if key in stated and encoder.file is None]
+    faults += [_fault(key, f"{key} is that of the file of pulses", remedy="Add file") for key in of_file]
+    if encoder.expected_rpm is not None and kind != "vibration":
+        faults.append(_fault("expected_rpm", 'expected_rpm goes with kind = "vibration"'))
+    if encoder.second_track is not None and kind not in TRACE_KINDS:
         allowed = f"beside kind = {' or '.join(TRACE_KINDS)}"
-        faults.append(RequestError("a second track is a sampled trace", place="encoder.second_track", allowed=allowed))
-    if cycle == "none" and (encoder.kind != "none" or domain == "crank_angle"):
+        faults.append(_fault("second_track", "a second track is a sampled trace", allowed=allowed))
+    if encoder.file is not None and kind not in TIME_KINDS:
+        problem = "a file of its own holds times of pulses: samples lie in the recording"
+        faults.append(_fault("file", problem, allowed=f"beside kind = {' or '.join(TIME_KINDS)}"))
+    if cycle == "none" and (kind != "none" or domain == "crank_angle"):
         problem = "a structure without a shaft has neither an encoder nor samples by crank angle"
-        place, found = ("encoder.kind", encoder.kind) if encoder.kind != "none" else ("sampling.domain", domain)
+        place, found = ("encoder.kind", kind) if kind != "none" else ("sampling.domain", domain)
         remedy = "Remove it, or state the cycle of the machine (rotor)"
         faults.append(RequestError(problem, place=place, found=found, remedy=remedy))
-    if domain == "crank_angle" and encoder.kind not in ("none", "constant"):
-        problem, allowed = "samples by crank angle have no use for an encoder", "none, constant"
-        remedy = 'Remove [encoder], or state domain = "time"'
-        faults.append(RequestError(problem, place="encoder.kind", found=encoder.kind, allowed=allowed, remedy=remedy))
-    return faults + _file_faults(encoder) + _wheel_faults(encoder, cycle) + _position_faults(encoder)
+    if domain == "crank_angle" and kind not in ("none", "constant"):
+        problem, remedy = (
+            "samples by crank angle have no use for an encoder",
+            'Remove [encoder], or state domain = "time"',
+        )
+        faults.append(_fault("kind", problem, found=kind, allowed="none, constant", remedy=remedy))
+    return faults + _wheel_faults(encoder, cycle)
 
 
-def _position_faults(encoder: Encoder) -> list[RequestError]:
-    """Keys that say how pulses come, beside an angle or a count, which comes without."""
-    useless = {"edge", "missing_teeth", "pattern", "tooth_angles_deg", "second_track"}
-    useless -= {"edge"} if encoder.index is not None or encoder.cam is not None else set()
-    useless |= {"pulses_per_rev"} if encoder.kind == "angle" else set()
-    return [
-        RequestError(f"{key} says nothing of kind {encoder.kind!r}", place=f"encoder.{key}", remedy=f"Remove {key}")
-        for key in sorted(useless & encoder.model_fields_set if encoder.kind in POSITION_KINDS else ())
-    ]
-
-
-def _file_faults(encoder: Encoder) -> list[RequestError]:
-    faults: list[RequestError] = []
-    if encoder.file is not None and encoder.kind not in TIME_KINDS:
-        problem = "a file of its own holds times of pulses: samples lie in the recording"
-        faults.append(RequestError(problem, place="encoder.file", allowed=f"beside kind = {' or '.join(TIME_KINDS)}"))
-    alone = [key for key in ("time_source", "offset_s") if key in encoder.model_fields_set and encoder.file is None]
-    return faults + [
-        RequestError(f"{key} is that of the file of pulses", place=f"encoder.{key}", remedy="Add file") for key in alone
-    ]
+def _fault(key: str, problem: str, **further: Any) -> RequestError:
+    return RequestError(problem, place=f"encoder.{key}", **further)
 
 
 def _wheel_faults(encoder: Encoder, cycle: str) -> list[RequestError]:
@@ -247,16 +240,15 @@ def _wheel_faults(encoder: Encoder, cycle: str) -> list[RequestError]:
     stated = [key for key in ("pattern", "tooth_angles_deg", "pulses_per_rev") if getattr(encoder, key) is not None]
     if len(stated) > 1:
         problem, remedy = f"the wheel is stated by {' and by '.join(stated)}", f"Remove {' and '.join(stated[1:])}"
-        faults.append(RequestError(problem, place=f"encoder.{stated[0]}", allowed="one of them", remedy=remedy))
+        faults.append(_fault(stated[0], problem, allowed="one of them", remedy=remedy))
     if encoder.missing_teeth and encoder.missing_teeth >= (encoder.pulses_per_rev or encoder.missing_teeth):
-        problem, place = "more teeth are missing than the wheel has", "encoder.missing_teeth"
         allowed = "below pulses_per_rev, which counts the full wheel"
         allowed += f" = {encoder.pulses_per_rev}" if encoder.pulses_per_rev else ""
-        faults.append(RequestError(problem, place=place, found=encoder.missing_teeth, allowed=allowed))
+        problem = "more teeth are missing than the wheel has"
+        faults.append(_fault("missing_teeth", problem, found=encoder.missing_teeth, allowed=allowed))
     if encoder.cam is not None and cycle != "four-stroke":
         problem, remedy = "a cam mark tells the phase of a four-stroke cycle only", "Remove cam, or mend test.cycle"
-        faults.append(RequestError(problem, place="encoder.cam", found=f"cycle = {cycle!r}", remedy=remedy))
+        faults.append(_fault("cam", problem, found=f"cycle = {cycle!r}", remedy=remedy))
     if encoder.cam_to_tdc_deg is not None and encoder.cam is None:
-        problem = "cam_to_tdc_deg needs cam, its source"
-        faults.append(RequestError(problem, place="encoder.cam_to_tdc_deg", remedy="Add cam"))
+        faults.append(_fault("cam_to_tdc_deg", "cam_to_tdc_deg needs cam, its source", remedy="Add cam"))
     return faults

@@ -7,7 +7,7 @@ import re
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,8 @@ from crankorder.errors import CrankorderError, InputError, UnsafeInputError, pri
 from crankorder.ingest.rawfile import (
     HDF5_SIGNATURE,
     Contents,
+    Described,
     FloatArray,
-    Key,
     RawFile,
     Source,
     check_budget,
@@ -101,33 +101,15 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     with _opened(path) as file:
         columns = _columns_of(file, settings)
         names = names_of(sources, list(columns), path)
-        used = {columns[name].dataset: columns[name].opened for name in names.values()}
-        for dataset in used.values():
-            _check_dataset(dataset)
-        n_bytes = sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values())
-        check_budget(n_bytes, settings)
-        attributes = _Attributes(file, used)
-        places = {source: columns[name].dataset for source, name in names.items()}
-        units, rates, starts, undated = _stated_in(places, attributes, path)
+        wanted = {name: columns[name] for name in names.values()}
+        used = {column.dataset: column.opened for column in wanted.values()}
+        stated, attributes, undated = _stated(file, wanted, used, path)
+        check_budget(sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values()), settings)
         values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
-        others = set(rates.values())
-        doubts = [attributes.doubts(place, rates.get(source), others) for source, place in places.items()]
+        others = set(stated.rates_hz.values())
+        doubts = [attributes.doubts(at.dataset, stated.rates_hz.get(name), others) for name, at in wanted.items()]
         flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
-        return RawFile(dict(zip(names, values, strict=True)), units, rates, starts, flags=flags + undated)
-
-
-def _stated_in(
-    places: Mapping[Key, str], attributes: _Attributes, path: Path
-) -> tuple[dict[Key, str], dict[Key, float], dict[Key, float], list[QualityFlag]]:
-    """Units, rates and starts of the datasets at ``places``; flags of unset clocks."""
-    rates = _stated({key: attributes.rate_hz(place) for key, place in places.items()})
-    starts, undated = starts_by_date(*attributes.starts(places), path)
-    units = {key: unit for key, place in places.items() if (unit := attributes.text(place, _UNIT_NAMES))}
-    return units, rates, starts, undated
-
-
-def _stated(rates: Mapping[Any, float | None]) -> dict[Any, float]:
-    return {name: rate for name, rate in rates.items() if rate is not None}
+        return stated.with_columns(names, values, flags=flags + undated)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -137,21 +119,34 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """
     with _opened(path) as file:
         columns = _columns_of(file, settings)
-        places = {name: column.dataset for name, column in columns.items()}
         opened = {column.dataset: column.opened for column in columns.values()}
-        for dataset in opened.values():
-            _check_dataset(dataset)
-        attributes = _Attributes(file, opened)
-        units, rates, starts, _ = _stated_in(places, attributes, path)
-        return Contents(
-            format="HDF5",
-            names=tuple(columns),
-            samples={name: column.n_samples for name, column in columns.items()},
-            units=units,
-            rates_hz=rates,
-            starts_s=starts,
-            speed_rpm=next((rpm for place in places.values() if (rpm := attributes.number(place, _SPEED_NAMES))), None),
+        stated, attributes, _ = _stated(file, columns, opened, path)
+        speeds = (attributes.number(column.dataset, _SPEED_NAMES) for column in columns.values())
+        return replace(stated, speed_rpm=next((rpm for rpm in speeds if rpm), None))
+
+
+def _stated(
+    file: Any, columns: Mapping[str, _Column], opened: Mapping[str, Any], path: Path
+) -> tuple[Contents, _Attributes, list[QualityFlag]]:
+    """What the attributes of ``file`` say of ``columns``, these attributes, and flags of unset clocks.
+
+    ``opened`` are the datasets of the columns by place, which are checked first.
+    """
+    for dataset in opened.values():
+        _check_dataset(dataset)
+    attributes = _Attributes(file, opened)
+    starts, undated = starts_by_date(*attributes.starts({name: at.dataset for name, at in columns.items()}), path)
+    described = {
+        name: Described(
+            at.n_samples, attributes.text(at.dataset, _UNIT_NAMES), attributes.rate_hz(at.dataset), starts.get(name)
         )
+        for name, at in columns.items()
+    }
+    return Contents.of("HDF5", described), attributes, undated
+
+
+def _known(numbers: Mapping[Any, float | None]) -> dict[Any, float]:
+    return {name: number for name, number in numbers.items() if number is not None}
 
 
 @contextmanager
@@ -394,9 +389,9 @@ class _Attributes:
         for key, place in places.items():
             with suppress(ValueError):
                 dates[key] = np.datetime64(self.text(place, _DATE_NAMES).strip().rstrip("Z"), "ns")
-        times = _stated({key: self.number(place, _START_NAMES) for key, place in places.items()})
+        times = _known({key: self.number(place, _START_NAMES) for key, place in places.items()})
         # may count from anywhere, unlike a list of pulse times beside them
-        clock = _stated({key: self.number(place, _CLOCK_NAMES, inherited=False) for key, place in places.items()})
+        clock = _known({key: self.number(place, _CLOCK_NAMES, inherited=False) for key, place in places.items()})
         late = {key: time_s - min(clock.values()) for key, time_s in clock.items()}
         times |= {key: times.get(key, 0.0) + late_s for key, late_s in late.items()}
         return {key: date for key, date in dates.items() if not np.isnat(date)}, times

@@ -11,7 +11,7 @@ import numpy as np
 
 from crankorder.errors import InputError
 from crankorder.ingest.child import in_child, package
-from crankorder.ingest.rawfile import Contents, RawFile, Source, by_distinct_name, check_budget, named
+from crankorder.ingest.rawfile import Contents, Described, RawFile, Source, by_distinct_name, check_budget, named
 from crankorder.ingest.sampling import TimeColumn, read_time_column
 from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
@@ -85,22 +85,16 @@ def _channels(file: Any) -> Mapping[str, Any]:
 def _contents(parser: Any, path: Path) -> Contents:
     with parser(str(path), quiet=True) as file:
         channels = _channels(file)
-        rates: dict[str, float] = {}
-        starts: dict[str, float] = {}
+        columns: dict[str, Described] = {}
+        doubt = 0.0
         for name, values in channels.items():
             first, last = values.getInterval()
+            columns[name] = Described(len(values), _unit(values))
             if len(values) > 2 and last > first:
-                starts[name] = _US * first
-                rates[name] = float(f"{(len(values) - 1) / (_US * (last - first)):.12g}")
-        return Contents(
-            format="IDE",
-            names=tuple(channels),
-            samples={name: len(values) for name, values in channels.items()},
-            units={name: unit for name, values in channels.items() if (unit := _unit(values))},
-            rates_hz=rates,
-            starts_s=starts,
-            rate_uncertainty=max((2.0 * _JITTER / len(channels[name]) for name in rates), default=0.0),
-        )
+                rate_hz = float(f"{(len(values) - 1) / (_US * (last - first)):.12g}")
+                columns[name] = Described(len(values), _unit(values), rate_hz, _US * first)
+                doubt = max(doubt, 2.0 * _JITTER / len(values))
+        return Contents.of("IDE", columns, rate_uncertainty=doubt)
 
 
 def _unit(values: Any) -> str:

@@ -6,8 +6,9 @@ Format: National Instruments, "Specification for the LabVIEW Measurement File (.
 from __future__ import annotations
 
 import csv
+import mmap
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
     Contents,
+    Described,
     FloatArray,
     RawFile,
     Source,
@@ -27,17 +29,16 @@ from crankorder.ingest.rawfile import (
     starts_by_date,
 )
 from crankorder.ingest.sampling import read_time_column
-from crankorder.ingest.text import encoding_of, last_line_flags
+from crankorder.ingest.text import PIECE_LINES, encoding_of, last_line_flags, parsed
 from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
 
-_END_OF_HEADER = "***End_of_Header***"
 _TIME = "X_Value"
+_END_OF_HEADER = re.compile(rb"(?m)^\*\*\*End_of_Header\*\*\*[^\n]*(?:\n|\Z)")
+_BLANK = re.compile(rb"(?m)^[ \t;,\r]*$")
 _DELIMITER = re.compile(r" *(?:[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)? *|[^\t;,]*)([\t;,])")
 """First delimiter of a line, after a cell that may be a number with a decimal comma."""
-_PIECE_LINES = 1 << 16
-_MOST_HEAD_LINES = 1000
-_MOST_LINE_BYTES = 1 << 20
+_MOST_HEAD_BYTES = 1 << 20
 _MOST_SEGMENTS = 1000
 _MOST_COLUMNS = 1000
 _FEW_LINES = 4096
@@ -46,19 +47,29 @@ _FEW_LINES = 4096
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """One block of columns: the line of its first values, and what its header says, cells in the place of a column."""
+    """One block of columns: names, cells of the header by their first, the first byte and number of lines of values.
 
-    first_line: int
+    ``first`` is the first line of values.
+    """
+
     names: tuple[str, ...]
     header: dict[str, list[str]]
+    begin: int
     n_lines: int
-    n_cells: int
-    separator: str
-    has_commas: bool  # in the first line of values
+    first: str
 
     def said(self, key: str, place: int) -> str:
         cells = self.header.get(key, [])
         return cells[place] if place < len(cells) else ""
+
+    def channel_from(self, place: int) -> int:
+        """Place of the first channel at ``place`` or behind it, that of the first of all where none is."""
+        channels = [index for index, name in enumerate(self.names) if name != _TIME]
+        return next((index for index in channels if index >= place), next(iter(channels), 0))
+
+    @property
+    def separator(self) -> str:
+        return _separator(self.first) if len(self.names) > 1 else "\t"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +89,15 @@ class _Layout:
     decimal_comma: bool
     columns: dict[str, _Column]
 
+    def times_of(self, column: _Column) -> _Column | None:
+        """Column of times of a channel: the nearest before it in its segment; None where the header tells the time."""
+        mine = [other for other in self.columns.values() if other.is_time and other.segment is column.segment]
+        if column.segment.said("X_Dimension", column.place) not in ("Time", ""):
+            return None
+        return max(
+            (other for other in mine if other.place <= column.place), key=lambda other: other.place, default=None
+        )
+
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns (float64) that ``sources`` ask for, by name or number from 0, from the LabVIEW file at ``path``.
@@ -91,16 +111,15 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     layout = _layout(path)
     names = names_of(sources, tuple(layout.columns), path)
     wanted = {name: layout.columns[name] for name in names.values()}
-    times = [time for column in wanted.values() if (time := _times_of(layout, column)) is not None]
+    times = [time for column in wanted.values() if (time := layout.times_of(column)) is not None]
     read: dict[tuple[int, int], FloatArray] = {}
-    for segment in {id(column.segment): column.segment for column in wanted.values()}.values():
-        mine = [column for column in (*wanted.values(), *times) if column.segment is segment]
-        places = sorted({column.place for column in mine})
+    for segment in {column.segment.begin: column.segment for column in wanted.values()}.values():
+        places = sorted({column.place for column in (*wanted.values(), *times) if column.segment is segment})
         rows = _read(path, layout, segment, places, settings)
-        read |= {(segment.first_line, place): row for place, row in zip(places, rows, strict=True)}
+        read |= {(segment.begin, place): row for place, row in zip(places, rows, strict=True)}
 
     def values_of(column: _Column) -> FloatArray:
-        return read[column.segment.first_line, column.place]
+        return read[column.segment.begin, column.place]
 
     contents, attrs, flags = _timing(layout, wanted, values_of, path, settings)
     flags += last_line_flags(path)
@@ -125,75 +144,60 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
 def _layout(path: Path) -> _Layout:
     """Headers of the file and where its segments stand; the lines of values are only counted."""
-    with path.open("rb") as stream:
-        encoding = encoding_of(stream.read(1 << 16))
-    lines = _lines(path, encoding)
-    head = _header(lines)
-    segments = list(_segments(lines))
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        encoding = encoding_of(data[: 1 << 16])
+        head, segments = _segments(data, encoding)
     if not segments:
         raise InputError("holds no segment of measured values", remedy="Copy it again, or record again")
     stated = head.get("Decimal_Separator", ["", ""])[1:2]
     # an old writer states none, and its times of day say nothing about its values
-    comma = segments[0].separator != "," and (stated == [","] or (stated == [""] and segments[0].has_commas))
+    has_commas = "," in segments[0].first and "." not in segments[0].first
+    comma = segments[0].separator != "," and (stated == [","] or (stated == [""] and has_commas))
     with_times = head.get("X_Columns", ["", "One"])[1:2] != ["No"]
     return _Layout(encoding, comma, _columns(segments, with_times=with_times))
 
 
-def _lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
-    """Lines of the file with their numbers from 0, without their ends; none may be longer than any table has."""
-    with path.open("rb") as stream:
-        number = 0
-        while line := stream.readline(_MOST_LINE_BYTES):
-            if len(line) == _MOST_LINE_BYTES:
-                raise UnsafeInputError("a line is longer than any table has", place=f"line {number + 1}")
-            yield number, line.decode(encoding, "replace").rstrip("\r\n")
-            number += 1
+def _segments(data: mmap.mmap, encoding: str) -> tuple[dict[str, list[str]], list[_Segment]]:
+    """The header of the file, and its segments that hold values."""
+    head: dict[str, list[str]] = {}
+    segments: list[_Segment] = []
+    place, is_head = 0, True
+    while data[place : place + _MOST_HEAD_BYTES].strip(b" \t;,\r\n"):
+        end = _END_OF_HEADER.search(data, place, place + _MOST_HEAD_BYTES)
+        if end is None:
+            raise InputError("truncated: a header has no end", place=f"byte {place}", remedy="Copy it again")
+        lines = data[place : end.start()].decode(encoding, "replace").splitlines()
+        rows = [[cell.strip() for cell in line.split(_separator(line))] for line in lines]
+        header, place = {row[0]: row for row in rows if row[0]}, end.end()
+        if is_head:
+            head, is_head = header, False
+            continue
+        text, begin = _line(data, place, encoding)
+        names = tuple(cell.strip() for cell in text.split(_separator(text)))
+        if not text.strip() or len(names) > _MOST_COLUMNS:
+            raise InputError("no names of columns below a header", place=f"byte {place}")
+        blank = _BLANK.search(data, begin)
+        place = len(data) if blank is None else blank.start()
+        n_lines = sum(data[at : min(at + (1 << 22), place)].count(b"\n") for at in range(begin, place, 1 << 22))
+        n_lines += place > begin and data[place - 1] != ord("\n")
+        if n_lines:
+            segments.append(_Segment(names, header, begin, n_lines, _line(data, begin, encoding)[0]))
+        if len(segments) > _MOST_SEGMENTS:
+            raise UnsafeInputError(f"holds more than {_MOST_SEGMENTS} segments")
+    return head, segments
+
+
+def _line(data: mmap.mmap, place: int, encoding: str) -> tuple[str, int]:
+    """The line at ``place`` without its end, and where the next begins."""
+    end = data.find(b"\n", place)
+    end = len(data) if end < 0 else end
+    return data[place : min(end, place + _MOST_HEAD_BYTES)].decode(encoding, "replace").rstrip("\r"), end + 1
 
 
 def _separator(line: str) -> str:
     """What parts the cells of ``line``: tab, semicolon or comma; the headers and the values of a file may differ."""
     first = _DELIMITER.match(line)
     return first[1] if first else "\t"
-
-
-def _header(lines: Iterator[tuple[int, str]]) -> dict[str, list[str]]:
-    """Lines of the header that begins here, by their first cell; empty at the end of the file."""
-    header: dict[str, list[str]] = {}
-    for number, (place, line) in enumerate(lines):
-        if line.startswith(_END_OF_HEADER):
-            return header
-        if number > _MOST_HEAD_LINES:
-            raise InputError("a header has no end", place=f"line {place + 1}", remedy="Copy it again")
-        cells = [cell.strip() for cell in line.split(_separator(line))]
-        if cells[0]:
-            header[cells[0]] = cells
-    if header:
-        raise InputError("truncated: a header has no end", remedy="Copy it again")
-    return {}
-
-
-def _segments(lines: Iterator[tuple[int, str]]) -> Iterator[_Segment]:
-    n_segments = 0
-    while header := _header(lines):
-        number, text = next(lines, (0, ""))
-        names = tuple(cell.strip() for cell in text.split(_separator(text)))
-        if not text.strip() or len(names) > _MOST_COLUMNS:
-            raise InputError("no names of columns below a header", place=f"line {number + 1}")
-        n_lines, n_cells, separator, has_commas = 0, 0, "\t", False
-        for _, line in lines:
-            if not line.strip(" \t;,"):
-                break
-            if not n_lines:
-                separator = _separator(line) if len(names) > 1 else "\t"
-                has_commas = "," in line and "." not in line
-            n_lines, n_cells = n_lines + 1, max(n_cells, line.count(separator) + 1)
-        if n_cells > 2 * _MOST_COLUMNS:
-            raise UnsafeInputError("a line has more cells than any table")
-        if n_lines:
-            yield _Segment(number + 1, names, header, n_lines, n_cells, separator, has_commas)
-        n_segments += 1
-        if n_segments > _MOST_SEGMENTS:
-            raise UnsafeInputError(f"holds more than {_MOST_SEGMENTS} segments")
 
 
 def _columns(segments: list[_Segment], *, with_times: bool) -> dict[str, _Column]:
@@ -215,14 +219,6 @@ def _columns(segments: list[_Segment], *, with_times: bool) -> dict[str, _Column
     return channels | times
 
 
-def _times_of(layout: _Layout, column: _Column) -> _Column | None:
-    """Column of times of a channel: the nearest before it in its segment; None where only the header tells the time."""
-    mine = [other for other in layout.columns.values() if other.is_time and other.segment is column.segment]
-    if column.segment.said("X_Dimension", column.place) not in ("Time", ""):
-        return None
-    return max((other for other in mine if other.place <= column.place), key=lambda other: other.place, default=None)
-
-
 def _read(
     path: Path,
     layout: _Layout,
@@ -233,38 +229,26 @@ def _read(
     most: int | None = None,
 ) -> list[FloatArray]:
     """Values of the columns at ``places``, a piece at a time; empty cells at their ends are no samples."""
-    import pandas as pd
-
     n_lines = segment.n_lines if most is None else min(most, segment.n_lines)
     rows = rows_for([(n_lines, np.float64)] * len(places), in_memory_bytes=settings.in_memory_bytes)
     done = 0
-    width = max(segment.n_cells, len(segment.names))
-    kinds = {place: np.float64 if place in places else object for place in range(width)}  # others may be comments
     try:
-        for frame in pd.read_csv(
-            path,
-            sep=segment.separator,
-            skiprows=segment.first_line,
-            nrows=n_lines,
-            encoding=layout.encoding,
-            encoding_errors="replace",
-            chunksize=_PIECE_LINES,
-            index_col=False,
-            skip_blank_lines=False,
-            header=None,
-            names=range(width),
-            dtype=kinds,
-            quoting=csv.QUOTE_NONE,
-            decimal="," if layout.decimal_comma else ".",
-            keep_default_na=False,
-            na_values=["", "NaN"],
-        ):
-            for place, row in zip(places, rows, strict=True):
-                row[done : done + len(frame)] = frame[place].to_numpy()
-            done += len(frame)
-    except (ValueError, OverflowError, pd.errors.ParserError) as error:
+        with path.open("rb") as stream:
+            stream.seek(segment.begin)
+            for frame in parsed(
+                stream, segment.separator, decimal_comma=layout.decimal_comma, encoding=layout.encoding,
+                encoding_errors="replace", nrows=n_lines, chunksize=PIECE_LINES, index_col=False,
+                names=range(segment.first.count(segment.separator) + 1), usecols=places, quoting=csv.QUOTE_NONE,
+                skip_blank_lines=False,
+            ):  # fmt: skip
+                for place, row in zip(places, rows, strict=True):
+                    row[done : done + len(frame)] = frame[place].to_numpy()
+                done += len(frame)
+    except (ValueError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
         cell = printable(str(error).split("\n")[0], 80)
-        line = f"below line {segment.first_line + done}"
+        line = f"line {done + 1} of the values or below"
         raise InputError("a cell is no number", place=line, found=cell, remedy="Mend the cell") from None
     if not any(np.isnan(row[-1:]).any() for row in rows):
         return rows
@@ -284,10 +268,10 @@ def _timing(
     starts: dict[str, float] = {}
     dates: dict[str, np.datetime64] = {}
     for name, column in columns.items():
-        segment, time = column.segment, _times_of(layout, column)
+        segment, time = column.segment, layout.times_of(column)
         begin = 0 if time is None else time.place
-        first, own = _channel_from(segment, begin), _channel_from(segment, column.place)
-        kind = (segment.first_line, None if time is None else begin, segment.said("Delta_X", own))
+        first, own = segment.channel_from(begin), segment.channel_from(column.place)
+        kind = (segment.begin, None if time is None else begin, segment.said("Delta_X", own))
         if kind not in kinds:
             kinds[kind] = _rate(segment, own, None if time is None else stamps(time), path, settings)
         rate_hz, attrs, _ = kinds[kind]
@@ -300,28 +284,21 @@ def _timing(
     starts, flags = starts_by_date({name: date for name, date in dates.items() if not np.isnat(date)}, starts, path)
     flags += [remark for _, _, remarks in kinds.values() for remark in remarks]
     attrs = next(iter(kinds.values()))[1]
-    contents = Contents(
-        format="LVM",
-        names=tuple(columns),
-        units={name: column.unit for name, column in columns.items() if column.unit},
-        rates_hz=rates,
-        starts_s=starts,
-        rate_uncertainty=attrs["rate_uncertainty"],
+    described = {
+        name: Described(None, column.unit, rates.get(name), starts.get(name)) for name, column in columns.items()
+    }
+    return (
+        Contents.of("LVM", described, rate_uncertainty=attrs["rate_uncertainty"]),
+        attrs,
+        [remark for number, remark in enumerate(flags) if remark not in flags[:number]],
     )
-    return contents, attrs, [remark for number, remark in enumerate(flags) if remark not in flags[:number]]
-
-
-def _channel_from(segment: _Segment, begin: int) -> int:
-    """Place of the first channel at ``begin`` or behind it, that of the first of all where none is."""
-    places = [place for place, name in enumerate(segment.names) if name != _TIME]
-    return next((place for place in places if place >= begin), next(iter(places), 0))
 
 
 def _rate(
     segment: _Segment, place: int, times: FloatArray | None, path: Path, settings: IngestSettings
 ) -> tuple[float | None, dict[str, float], list[QualityFlag]]:
     """Rate in Hz, by the column of times where there is one, else by the header; its attributes; flags."""
-    text = segment.said("Delta_X", place) or segment.said("Delta_X", _channel_from(segment, 0))
+    text = segment.said("Delta_X", place) or segment.said("Delta_X", segment.channel_from(0))
     step_s = _number(text)
     doubt = 0.0
     if step_s:  # of the last decimal half is rounded away, or more is cut

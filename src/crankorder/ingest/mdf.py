@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 
 from crankorder.ingest.child import in_child, package
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, by_distinct_name, check_budget, names_of
+from crankorder.ingest.rawfile import (
+    Contents,
+    Described,
+    FloatArray,
+    RawFile,
+    Source,
+    by_distinct_name,
+    check_budget,
+    names_of,
+)
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings
 
@@ -20,15 +29,11 @@ _REALS = "iufb"
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
-    """Where a channel lies: its group, its number there (-1: the master), its length, unit, rate and first stamp."""
+class _Place(Described):
+    """What a channel is and where it lies: its group, and its number there (-1: the master)."""
 
-    group: int
-    number: int
-    n_samples: int
-    unit: str
-    rate_hz: float | None
-    start_s: float
+    group: int = 0
+    number: int = -1
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
@@ -42,11 +47,11 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     parser = _parser()
     places = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
     names = names_of(sources, tuple(places), path)
-    n_bytes = sum(8 * places[name].n_samples for name in names.values())
+    n_bytes = sum(8 * (places[name].n_samples or 0) for name in names.values())
     check_budget(n_bytes, settings)
     wanted = {name: places[name] for name in names.values()}
     columns = in_child(lambda: _read(parser, path, wanted), path, n_bytes=n_bytes)
-    return _contents(places).with_columns(names, [columns[name] for name in names.values()])
+    return Contents.of("MDF4", places).with_columns(names, [columns[name] for name in names.values()])
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -55,18 +60,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
     parser = _parser()
-    return _contents(in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size))
-
-
-def _contents(places: dict[str, _Place]) -> Contents:
-    return Contents(
-        format="MDF4",
-        names=tuple(places),
-        samples={name: place.n_samples for name, place in places.items()},
-        units={name: place.unit for name, place in places.items() if place.unit},
-        rates_hz={name: place.rate_hz for name, place in places.items() if place.rate_hz is not None},
-        starts_s={name: place.start_s for name, place in places.items()},
-    )
+    return Contents.of("MDF4", in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size))
 
 
 def _parser() -> Any:
@@ -89,12 +83,12 @@ def _places(parser: Any, path: Path) -> dict[str, _Place]:
                     stamps = np.asarray(file.get_master(group), dtype=np.float64)
                     rate_hz = _rate(stamps)
                     start_s = float(stamps[0]) if rate_hz is not None else 0.0
-                places.append((name, _Place(group, -1, n_samples, unit, None, start_s)))
+                places.append((name, _Place(n_samples, unit, None, start_s, group)))
             for number, channel in enumerate(members.channels):
                 first = None if number == master else _samples(file, channel.name, group, number, most=1)
                 if first is not None:
                     unit = str(channel.unit or "")
-                    places.append((str(channel.name), _Place(group, number, n_samples, unit, rate_hz, start_s)))
+                    places.append((str(channel.name), _Place(n_samples, unit, rate_hz, start_s, group, number)))
     return by_distinct_name(places)
 
 

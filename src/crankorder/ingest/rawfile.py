@@ -34,6 +34,19 @@ HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 @dataclass(frozen=True, slots=True)
+class Described:
+    """A column as its file describes it: number of samples, unit, rate in Hz, time in s of its first sample.
+
+    None, or no unit, where the file does not say.
+    """
+
+    n_samples: int | None = None
+    unit: str = ""
+    rate_hz: float | None = None
+    start_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Contents:
     """Names, sizes and units of what a file holds, read without its samples.
 
@@ -51,6 +64,19 @@ class Contents:
     starts_s: Mapping[str, float] = field(default_factory=dict)
     rate_uncertainty: float = 0.0
     speed_rpm: float | None = None
+
+    @classmethod
+    def of(cls, kind: str, columns: Mapping[str, Described], *, rate_uncertainty: float = 0.0) -> Contents:
+        """Contents of a file of the format ``kind`` with ``columns`` by name; ``rate_uncertainty`` as above."""
+        return cls(
+            kind,
+            tuple(columns),
+            {name: column.n_samples for name, column in columns.items() if column.n_samples is not None},
+            {name: column.unit for name, column in columns.items() if column.unit},
+            {name: column.rate_hz for name, column in columns.items() if column.rate_hz is not None},
+            {name: column.start_s for name, column in columns.items() if column.start_s is not None},
+            rate_uncertainty,
+        )
 
     def with_columns(self, names: Mapping[Source, str], columns: Iterable[FloatArray], **further: Any) -> RawFile:
         """The ``columns`` that were asked for, ``names`` by source, with what this says of each.

@@ -12,11 +12,10 @@ import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.fft.integration import faded_samples, integrated
-from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
+from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, check_bands, file_to_analysed
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
-from crankorder.ingest.limit_table import check_bands
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named, stacked
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged

@@ -15,6 +15,7 @@ from crankorder.errors import InputError, printable
 from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import (
     Contents,
+    Described,
     FloatArray,
     RawFile,
     Source,
@@ -90,27 +91,18 @@ def _channels(file: Any) -> Mapping[str, Any]:
 
 def _contents(channels: Mapping[str, Any], dated: Collection[str], path: Path) -> tuple[Contents, list[QualityFlag]]:
     """What the properties of the ``channels`` say, and flags of dates of the ``dated`` that were not set."""
-    steps = {name: channel.properties.get("wf_increment") for name, channel in channels.items()}
-    units = {
-        name: str(next((channel.properties[key] for key in _UNITS if key in channel.properties), ""))
-        for name, channel in channels.items()
-    }
     dates = {name: channels[name].properties.get("wf_start_time") for name in dated}
     stamps = {name: date.as_datetime64("ns") for name, date in dates.items() if hasattr(date, "as_datetime64")}
     offsets = {name: channel.properties.get("wf_start_offset") for name, channel in channels.items()}
     numbers = {name: float(offset) for name, offset in offsets.items() if _is_number(offset)}
     starts, flags = starts_by_date(stamps, numbers, path)
-    contents = Contents(
-        format="TDMS",
-        names=tuple(channels),
-        samples={name: len(channel) for name, channel in channels.items()},
-        units={name: unit for name, unit in units.items() if unit},
-        rates_hz={
-            name: float(f"{1.0 / float(step):.12g}") for name, step in steps.items() if _is_number(step) and step > 0
-        },
-        starts_s=starts,
-    )
-    return contents, flags
+    columns: dict[str, Described] = {}
+    for name, channel in channels.items():
+        unit = str(next((channel.properties[key] for key in _UNITS if key in channel.properties), ""))
+        step = channel.properties.get("wf_increment")
+        rate_hz = float(f"{1.0 / float(step):.12g}") if _is_number(step) and step > 0 else None
+        columns[name] = Described(len(channel), unit, rate_hz, starts.get(name))
+    return Contents.of("TDMS", columns), flags
 
 
 def _is_number(value: Any) -> bool:

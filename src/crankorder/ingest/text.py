@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -190,21 +191,10 @@ def _pieces(path: Path, layout: _Layout, n_lines: int | None) -> Iterator[tuple[
     import pandas as pd
 
     try:
-        made = pd.read_csv(
-            path,
-            engine="c",
-            sep=r"\s+" if layout.separator == " " else layout.separator,
-            decimal="," if layout.decimal_comma else ".",
-            header=None,
-            names=None,
-            skiprows=layout.n_head_lines,
-            dtype=np.float64,
-            encoding=layout.encoding,
-            keep_default_na=False,
-            na_values=list(_NAN_WORDS),
-            skip_blank_lines=True,
-            chunksize=n_lines,
-        )
+        made = parsed(
+            path, layout.separator, decimal_comma=layout.decimal_comma, encoding=layout.encoding,
+            skiprows=layout.n_head_lines, skip_blank_lines=True, chunksize=n_lines,
+        )  # fmt: skip
         for frame in [made] if n_lines is None else made:
             if len(frame.columns) == len(layout.names) + 1 and frame.iloc[:, -1].isna().all():
                 frame = frame.iloc[:, :-1]  # every line ends with a separator
@@ -219,6 +209,28 @@ def _pieces(path: Path, layout: _Layout, n_lines: int | None) -> Iterator[tuple[
             raise
         _find_bad_cell(path, layout)
         raise InputError("not a table of numbers", found=error) from None
+
+
+def parsed(source: Path | BinaryIO, separator: str, *, decimal_comma: bool, encoding: str, **options: Any) -> Any:
+    """Table of numbers (float64) that pandas reads from ``source``, or pieces of it where ``options`` have a chunksize.
+
+    Cells are parted by ``separator`` (a blank: any white space), decimals follow a comma where ``decimal_comma``, the
+    text is in ``encoding``; ``options`` go to ``pandas.read_csv``. Raises what pandas raises where a cell is no number.
+    """
+    import pandas as pd
+
+    return pd.read_csv(
+        source,
+        engine="c",
+        sep=r"\s+" if separator == " " else separator,
+        decimal="," if decimal_comma else ".",
+        header=None,
+        dtype=np.float64,
+        encoding=encoding,
+        keep_default_na=False,
+        na_values=list(_NAN_WORDS),
+        **options,
+    )
 
 
 def _find_bad_cell(path: Path, layout: _Layout) -> None:

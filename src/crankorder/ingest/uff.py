@@ -17,6 +17,7 @@ import numpy as np
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
     Contents,
+    Described,
     FloatArray,
     RawFile,
     Source,
@@ -106,14 +107,13 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
 
 def _contents(histories: Mapping[str, _History], times: Mapping[str, TimeColumn]) -> Contents:
-    return Contents(
-        format="UFF",
-        names=tuple(histories),
-        samples={name: history.n_present for name, history in histories.items() if history.binary},
-        units={name: history.unit for name, history in histories.items() if history.unit},
-        rates_hz={name: time.rate_hz for name, time in times.items()},
-        starts_s={name: time.start_s for name, time in times.items()},
-        rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0),
+    columns: dict[str, Described] = {}
+    for name, history in histories.items():
+        time, n_samples = times.get(name), history.n_present if history.binary else None
+        stated = (None, None) if time is None else (time.rate_hz, time.start_s)
+        columns[name] = Described(n_samples, history.unit, *stated)
+    return Contents.of(
+        "UFF", columns, rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0)
     )
 
 
@@ -278,6 +278,7 @@ def _sampled(
         points = np.frombuffer(block[: len(block) // point.itemsize * point.itemsize], point)[kept]
     else:
         points = _numbers(block if most_bytes is None else block[: block.rfind(b"\n") + 1], history)[kept]
+        points = points[: -1 if points.size < kept.stop else None]  # a number that is cut still reads as one
     if history.even is not None:
         return np.asarray(points, dtype=point.newbyteorder("=")), history.even
     if history.binary:

@@ -18,6 +18,7 @@ import numpy as np
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
     Contents,
+    Described,
     FloatArray,
     RawFile,
     Source,
@@ -129,13 +130,8 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
 
 def _contents(header: _Header) -> Contents:
-    return Contents(
-        format="WAV",
-        names=header.names,
-        samples=dict.fromkeys(header.names, header.n_present),
-        units=dict(zip(header.names, header.units, strict=True)),
-        rates_hz=dict.fromkeys(header.names, float(header.rate_hz)),
-    )
+    named = zip(header.names, header.units, strict=True)
+    return Contents.of("WAV", {name: Described(header.n_present, unit, float(header.rate_hz)) for name, unit in named})
 
 
 def _header_of(path: Path, settings: IngestSettings) -> _Header:

@@ -4,122 +4,104 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crankorder.errors import CrankorderError, InputError, UnsafeInputError
+from crankorder.errors import InputError
 from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, names_of
 from crankorder.ingest.text import names_and_units
 from crankorder.settings import IngestSettings
 
 _BANNER_ROWS = 50
-_MOST_ROWS = 1_048_576
-"""Rows of a sheet, by the standard of the format (ECMA-376)."""
 _UNPACKED = 10  # bytes of numbers for each byte of a workbook, as a rule at most
+
+Row = list[Any]
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     """Columns (float64) that ``sources`` ask for, by name or number from 0, from the first sheet of ``path``.
 
     ``settings`` give the byte limit. Raises InputError naming row and cell for a cell that is no number, and
-    EnvironmentFailure where the package openpyxl is missing, UnsafeInputError where it goes beyond its limits.
+    EnvironmentFailure where the package python-calamine is missing, UnsafeInputError where it goes beyond its limits.
     """
-    openpyxl, n_bytes = _parser(), _UNPACKED * path.stat().st_size
-    return in_child(lambda: _read(openpyxl, path, sources, settings), path, n_bytes=n_bytes)
+    parser = _parser()
 
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names and units of the columns of the first sheet of the workbook at ``path``; reads what stands above it only.
-
-    ``settings`` give the byte limit. Raises what :func:`read` raises.
-    """
-    openpyxl = _parser()
-
-    def look() -> Contents:
-        with _first_sheet(openpyxl, path, settings) as sheet:
-            names, units, _, _ = _header(_rows(sheet))
-        return Contents(format="XLSX", names=names, units=units)
-
-    return in_child(look, path, n_bytes=path.stat().st_size)
-
-
-def _parser() -> Any:
-    return package("openpyxl", "XLSX", "Install it with: pip install crankorder[xlsx]")
-
-
-def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
-    with _first_sheet(openpyxl, path, settings) as sheet:
-        rows = _rows(sheet)
+    def parse() -> RawFile:
+        rows = _rows(parser, path, settings)
         names, units, first, n_above = _header(rows)
         wanted = names_of(sources, names, path)
         positions = [names.index(name) for name in wanted.values()]
-        below = chain([] if first is None else [first], rows)
-        cells: list[tuple[Any, ...]] = [
-            tuple(row[position] if position < len(row) else None for position in positions) for row in below
-        ]
-    while cells and all(cell is None for cell in cells[-1]):
-        cells.pop()  # formatted but empty rows below the data
-    block = np.empty((len(positions), len(cells)))
-    for number, values in enumerate(cells):
-        for index, cell in enumerate(values):
-            if isinstance(cell, bool) or not isinstance(cell, (int, float)):
-                problem, found = ("an empty cell", "") if cell is None else ("not a number", repr(cell))
-                place = f"row {number + n_above + 1}, column {positions[index]} ({names[positions[index]]})"
-                remedy = "Mend the cell, or leave the recording out"
-                raise InputError(problem, place=place, found=found, remedy=remedy)
-        block[:, number] = values
-    return Contents("XLSX", names, units=units).with_columns(wanted, block)
+        cells = [[row[position] for position in positions] for row in chain([] if first is None else [first], rows)]
+        while cells and all(cell == "" for cell in cells[-1]):
+            cells.pop()  # formatted but empty rows below the data
+        for number, values in enumerate(cells, start=n_above + 1):
+            for position, cell in zip(positions, values, strict=True):
+                if not _is_number(cell):
+                    problem, found = ("an empty cell", "") if cell == "" else ("not a number", repr(cell))
+                    place = f"row {number}, column {position} ({names[position]})"
+                    raise InputError(
+                        problem, place=place, found=found, remedy="Mend the cell, or leave the recording out"
+                    )
+        block = np.ascontiguousarray(np.array(cells, dtype=np.float64).reshape(-1, len(positions)).T)
+        return Contents("XLSX", names, units=units).with_columns(wanted, block)
+
+    return in_child(parse, path, n_bytes=_UNPACKED * path.stat().st_size)
 
 
-def _rows(sheet: Any) -> Iterator[tuple[object, ...]]:
-    """Values of the rows of ``sheet``; refused where it claims more than a sheet can have: they would be filled."""
-    for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
-        if number > _MOST_ROWS:
-            raise UnsafeInputError("claims a row beyond the last that a sheet can have", allowed=f"{_MOST_ROWS} rows")
-        yield row
+def contents(path: Path, *, settings: IngestSettings) -> Contents:
+    """Names and units of the columns of the first sheet of the workbook at ``path``.
+
+    ``settings`` give the byte limit. Raises what :func:`read` raises.
+    """
+    parser = _parser()
+
+    def look() -> Contents:
+        names, units, _, _ = _header(_rows(parser, path, settings))
+        return Contents(format="XLSX", names=names, units=units)
+
+    return in_child(look, path, n_bytes=_UNPACKED * path.stat().st_size)
 
 
-@contextmanager
-def _first_sheet(openpyxl: Any, path: Path, settings: IngestSettings) -> Iterator[Any]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            check_budget(sum(item.file_size for item in archive.infolist()), settings)
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
-        try:
-            if not book.worksheets:
-                raise InputError("the workbook has no sheet with cells")
-            yield book.worksheets[0]
-        finally:
-            book.close()
-    except (CrankorderError, MemoryError):
-        raise
-    except Exception as error:  # openpyxl lets through whatever zip, XML and its own parsers raise
-        raise InputError(
-            "is a damaged XLSX workbook", found=error, remedy="Copy it again, or save it as text"
-        ) from None
+def _parser() -> Any:
+    module = package("python_calamine", "XLSX", "Install it with: pip install crankorder[xlsx]")
+    return module.CalamineWorkbook
+
+
+def _rows(parser: Any, path: Path, settings: IngestSettings) -> Iterator[Row]:
+    """Values of the rows of the first sheet, "" for an empty cell.
+
+    What the archive claims to hold is checked against ``settings`` before it is unpacked; a claim of rows beyond the
+    last that a sheet can have takes more memory than the process has.
+    """
+    with zipfile.ZipFile(path) as archive:
+        check_budget(sum(item.file_size for item in archive.infolist()), settings)
+    sheet = parser.from_path(path).get_sheet_by_index(0)
+    if sheet.start is None:
+        return
+    for row in sheet.iter_rows():
+        yield [""] * sheet.start[1] + row
 
 
 def _header(
-    rows: Iterator[tuple[object, ...]],
-) -> tuple[tuple[str, ...], dict[str, str], tuple[object, ...] | None, int]:
+    rows: Iterator[Row],
+) -> tuple[tuple[str, ...], dict[str, str], Row | None, int]:
     """Names and units of the columns, the first row of numbers, and how many rows stand above it.
 
     Titles and notes above the names are passed over. ``rows`` are taken up to the first of numbers, None where there is
     none in the first rows: then their first one holds the names.
     """
     above: list[list[str]] = []
-    first: tuple[object, ...] | None = None
+    first: Row | None = None
     for row in islice(rows, _BANNER_ROWS):
         cells = _filled(row)
-        if len(cells) and all(isinstance(cell, (int, float)) and not isinstance(cell, bool) for cell in cells):
+        if len(cells) and all(map(_is_number, cells)):
             first = row
             break
-        above.append(["" if cell is None else str(cell).strip() for cell in cells])
+        above.append([str(cell).strip() for cell in cells])
     width = max((len(row) for row in above[:1]), default=0) if first is None else len(_filled(first))
     named_rows = [row for row in (above[:1] if first is None else above) if len(row) == width]
     if not width or (above and not named_rows):
@@ -129,9 +111,11 @@ def _header(
     return names, units, first, len(above)
 
 
-def _filled(row: tuple[object, ...]) -> list[object]:
+def _filled(row: Row) -> Row:
     """Cells of ``row`` up to the last that is not empty."""
-    cells = list(row)
-    while cells and (cells[-1] is None or cells[-1] == ""):
-        cells.pop()
-    return cells
+    n_cells = max((place + 1 for place, cell in enumerate(row) if cell != ""), default=0)
+    return row[:n_cells]
+
+
+def _is_number(cell: object) -> bool:
+    return isinstance(cell, (int, float)) and not isinstance(cell, bool)
