@@ -79,9 +79,8 @@ from crankorder.quantities import (
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
 from crankorder.shaft.decode import PULSE_KINDS, flags_named, shaft_angle
-from crankorder.shaft.standstill import NO_PULSES, silent_ends
-from crankorder.shaft.summary import named_speed_remarks, shaft_summary
-from crankorder.shaft.tooth_errors import speed_swings
+from crankorder.shaft.repair import NO_PULSES, silent_ends
+from crankorder.shaft.speeds import named_speed_remarks, shaft_summary, speed_swings
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)

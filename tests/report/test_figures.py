@@ -20,7 +20,7 @@ from crankorder.plot.palette import LIGHT, level_colours
 from crankorder.plot.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
 from crankorder.plot.speed_figure import changing_recordings, speed_figure
 from crankorder.report.pictures import pictures_of
-from crankorder.shaft.summary import speed_trace, trace_variables
+from crankorder.shaft.speeds import speed_trace, trace_variables
 from made.typed import from_dicts
 
 campbell_figure, envelope_figure, orders_figure, pictures_of, speed_figure = map(

@@ -11,10 +11,10 @@ from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
-from crankorder.shaft.line_pattern import line_pattern
 from crankorder.shaft.pattern import grid_of, known_names, pattern_of
 from crankorder.shaft.repair import running_part
-from crankorder.shaft.tooth_errors import same_wheel, speed_swing, stated_teeth, tooth_errors
+from crankorder.shaft.speeds import speed_swing
+from crankorder.shaft.tooth_errors import line_pattern, same_wheel, stated_teeth, tooth_errors
 from crankorder.shaft.uneven_wheel import find_pattern
 from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.lines import lag_by_order

@@ -17,7 +17,7 @@ from scipy import special
 from crankorder.campbell.band_levels import LEVEL_WORDS, WITH_ENDS, LevelKey, level_coords
 from crankorder.quantities import Floats, Ints, QualityFlag, Variables, described, flags_of, with_flags
 from crankorder.settings import MethodNumbers
-from crankorder.shaft.speed_groups import held_speeds
+from crankorder.shaft.speeds import held_speeds
 
 CONFIDENCE = 0.95
 

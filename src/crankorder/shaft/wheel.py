@@ -15,8 +15,8 @@ from numba import njit
 from crankorder.errors import InputError
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.pulses import Remark
-from crankorder.shaft.repair import listed_times, running_part
+from crankorder.shaft.pulses import FEWEST_SAMPLES_PER_TOOTH, Remark, listed_times
+from crankorder.shaft.repair import running_part
 from crankorder.shaft.uneven_wheel import (
     WHOLE_TEETH,
     Wheel,
@@ -463,9 +463,6 @@ def _flag_lost(lost: Ints, time_s: Floats, tooth: Ints, wheel: Wheel, index_toot
         detail = f"pulse lost in most revolutions at {listed} degrees after {after} (a wheel with missing teeth?)"
         flags.append(("encoder_damaged_line", "suspect", detail))
 
-
-FEWEST_SAMPLES_PER_TOOTH = 2.5
-"""A tooth and its gap need a sample each, and the fastest teeth of a turn are shorter than the mean."""
 
 # Pulses that are enough to tell their noise.
 MOST_NOISE_TEETH = 20_000
