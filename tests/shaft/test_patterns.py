@@ -15,7 +15,7 @@ from crankorder.shaft.pattern import grid_of, known_names, pattern_of
 from crankorder.shaft.repair import running_part
 from crankorder.shaft.speeds import speed_swing
 from crankorder.shaft.tooth_errors import line_pattern, same_wheel, stated_teeth, tooth_errors
-from crankorder.shaft.uneven_wheel import find_pattern
+from crankorder.shaft.uneven_wheel import find_pattern, wheel_of
 from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.lines import lag_by_order
 from crankorder.synth.motion import Motion
@@ -50,7 +50,7 @@ def pulses_of(name, *, start_rev=0.37, **motion):
 
 def numbered(name, pulse_s, **options):
     angles = pattern_of(name).angles_deg if isinstance(name, str) else name
-    return number_teeth(pulse_s, pulses_per_rev=1, tooth_angles_deg=angles, settings=SETTINGS, **options)
+    return number_teeth(pulse_s, wheel_of(1, tooth_angles_deg=angles), settings=SETTINGS, **options)
 
 
 def assert_true_angles(teeth, true_time_s, true_rev, repeats=1, atol=1e-9):
@@ -218,7 +218,7 @@ def test_a_kick_back_after_a_stop_takes_no_part(recording_of):
 def test_pulses_lost_for_long_at_steady_speed_are_filled_in_and_no_standstill():
     pulse_s, true_rev = pulses_of("360", irregularity=0.0)
     few = np.delete(pulse_s, np.arange(5000, 5200))
-    teeth = number_teeth(few, pulses_per_rev=360, settings=SETTINGS)
+    teeth = number_teeth(few, wheel_of(360), settings=SETTINGS)
     assert "standstill" not in {flag for flag, _, _ in teeth.flags}
     assert teeth.n_repaired == 200
     true = np.round(360 * np.interp(teeth.time_s, pulse_s, true_rev)).astype(int)
@@ -228,7 +228,7 @@ def test_pulses_lost_for_long_at_steady_speed_are_filled_in_and_no_standstill():
 def test_a_hole_at_changing_speed_splits_the_train_and_says_so():
     pulse_s, _ = pulses_of("60", start_rpm=600.0, end_rpm=3000.0)
     hole = pulse_s[(pulse_s < 1.0) | (pulse_s > 1.6)]
-    teeth = number_teeth(hole, pulses_per_rev=60, settings=SETTINGS)
+    teeth = number_teeth(hole, wheel_of(60), settings=SETTINGS)
     told = {flag: detail for flag, _, detail in teeth.flags}
     assert "no pulses from 0.9" in told["encoder_gap"]
     assert "encoder_part_unused" in told
@@ -299,7 +299,7 @@ def drawn(wheel, share, seed):
 
 
 def found_in(times, wheel, *, revs_per_cycle=1):
-    teeth = number_teeth(times, pulses_per_rev=wheel[0], missing_teeth=wheel[1], settings=SETTINGS)
+    teeth = number_teeth(times, wheel_of(*wheel), settings=SETTINGS)
     return tooth_errors(teeth, ratio=1.0, revs_per_cycle=revs_per_cycle, noise_s=0.0, settings=SETTINGS)
 
 

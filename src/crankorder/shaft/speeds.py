@@ -12,7 +12,7 @@ import xarray as xr
 
 from crankorder.errors import printable
 from crankorder.findings import SpeedSwing as SpeedSwingFinding
-from crankorder.quantities import Bools, Complexes, Floats, Ints
+from crankorder.quantities import Bools, Complexes, Floats, Ints, Variables, described
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.pulses import Remark
 from crankorder.shaft.tooth_errors import HIGHEST_MOTION, TOOTH_DOUBT, TOOTH_ORDER
@@ -259,7 +259,7 @@ def _between(time: Floats, angle: Floats, speed: Floats) -> tuple[Floats, Floats
 KNOTS = 500
 """Knots of a trace: two pixels each where it is drawn across a page."""
 
-_UNITS = {
+_TRACES = {
     "trace_time": ("s", "middle of the piece of time"),
     "speed_trace": ("min-1", "mean speed in the piece of time"),
     "speed_trace_low": ("min-1", "lowest speed in the piece of time"),
@@ -291,18 +291,18 @@ def speed_trace(time_s: Floats, speed_rpm: Floats) -> tuple[Floats, ...]:
     return tuple(trace)
 
 
-def trace_variables(shafts: Sequence[xr.Dataset]) -> dict[str, xr.Variable]:
+def trace_variables(shafts: Sequence[xr.Dataset]) -> Variables:
     """Variables (recording, knot) of the group ``shaft`` of the results: the traces of ``shafts``.
 
     ``trace_time`` [s], ``speed_trace``, ``speed_trace_low`` and ``speed_trace_high`` [rpm]; ``shafts`` are ShaftAngles
     in the order of the recordings.
     """
-    traces = np.empty((len(_UNITS), len(shafts), KNOTS), dtype=np.float32)  # of thousands of recordings: held once
+    traces = np.empty((len(_TRACES), len(shafts), KNOTS), dtype=np.float32)  # of thousands of recordings: held once
     for number, shaft in enumerate(shafts):
         traces[:, number] = speed_trace(shaft["time"].values, shaft["speed"].values)
     return {
-        name: xr.Variable(("recording", "knot"), traces[number], {"units": unit, "long_name": text})
-        for number, (name, (unit, text)) in enumerate(_UNITS.items())
+        name: described(("recording", "knot"), traces[number], unit, text)
+        for number, (name, (unit, text)) in enumerate(_TRACES.items())
     }
 
 
@@ -313,26 +313,25 @@ def shaft_summary(shafts: Sequence[xr.Dataset]) -> xr.Dataset:
     ``n_pulses`` are (recording,), the traces of :func:`trace_variables` (recording, knot).
     """
     speeds, errors = ([shaft[name].values for shaft in shafts] for name in ("speed", "standard_error"))
-    columns = {
-        "speed_mean": (_known(np.mean, speeds), "min-1", "mean speed"),
-        "speed_min": (_known(np.min, speeds), "min-1", "lowest speed"),
-        "speed_max": (_known(np.max, speeds), "min-1", "highest speed"),
-        "standard_error": (_known(np.mean, errors), "rev", "mean standard error of the crank angle"),
-        "n_pulses": ([float(shaft.attrs["n_pulses"]) for shaft in shafts], "1", "encoder pulses used"),
+    names = np.array([printable(shaft.attrs["recording"]) for shaft in shafts])
+    pulses = np.array([float(shaft.attrs["n_pulses"]) for shaft in shafts])
+    variables: Variables = {
+        "speed_mean": described("recording", _known(np.mean, speeds), "min-1", "mean speed"),
+        "speed_min": described("recording", _known(np.min, speeds), "min-1", "lowest speed"),
+        "speed_max": described("recording", _known(np.max, speeds), "min-1", "highest speed"),
+        "standard_error": described(
+            "recording", _known(np.mean, errors), "rev", "mean standard error of the crank angle"
+        ),
+        "n_pulses": described("recording", pulses, "1", "encoder pulses used"),
     }
-    variables = {
-        name: xr.Variable("recording", values, {"units": unit, "long_name": text})
-        for name, (values, unit, text) in columns.items()
-    }
-    names = [printable(shaft.attrs["recording"]) for shaft in shafts]
-    named = {"recording": xr.Variable("recording", names, {"units": "1", "long_name": "file name"})}
-    return xr.Dataset(variables | trace_variables(shafts), coords=named)
+    coords = {"recording": described("recording", names, "1", "file name")}
+    return xr.Dataset(variables | trace_variables(shafts), coords=coords)
 
 
-def _known(statistic: Callable[[Floats], float], recordings: list[Floats]) -> list[float]:
+def _known(statistic: Callable[[Floats], float], recordings: list[Floats]) -> Floats:
     """The ``statistic`` of those values of each of ``recordings`` that are numbers; NaN where none is."""
     known = [values[~np.isnan(values)] for values in recordings]
-    return [float(statistic(values)) if values.size else np.nan for values in known]
+    return np.array([float(statistic(values)) if values.size else np.nan for values in known])
 
 
 _SPEED_IN_NAME = (
