@@ -11,15 +11,12 @@ from numpy.typing import NDArray
 
 from crankorder.fft.decimation import band_limited, decimation_factor
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
-from crankorder.fft.windows import Window, window_named
+from crankorder.fft.windows import Window, power_of_two, window_named
 from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, described, remark, unindexed, with_flags
 from crankorder.settings import CampbellSettings, MethodNumbers
 from crankorder.shaft.angle import angle_at, knots_of
 
 NUMBERS = MethodNumbers("4-campbell-map.toml", "frames")
-
-SQUARES_FIT = {"f": 1e8, "d": 1e100}
-"""Largest samples up to this, and from its inverse on, are squared as they are, by type code; others are scaled."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +44,18 @@ def frame_speeds(band: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int,
         return FrameSpeeds(np.full(len(starts), float(band.attrs.get("speed_rpm", math.nan))), np.zeros(len(starts)))
     begin = float(band.attrs.get("start_s", 0.0)) + starts / rate_hz
     return _speeds(shaft, begin, length / rate_hz)
+
+
+def piece_speeds(recording: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float) -> Floats:
+    """Mean speed [rpm] of the pieces of :func:`frame_speeds`; NaN where it is not known, or the shaft does not turn on.
+
+    ``recording`` and its ``shaft``; ``starts`` (pieces,): first samples at ``rate_hz`` of the pieces of ``length``.
+    """
+    rpm = np.full(len(starts), np.nan)
+    by_angle = recording.attrs["domain"] == "crank_angle"
+    if len(starts) and shaft.attrs.get("has_shaft", 1) and (by_angle or shaft["time"].size):
+        rpm = frame_speeds(recording, shaft, starts, length, rate_hz).mean_rpm
+    return np.where(rpm > 0.0, rpm, np.nan)
 
 
 def _speeds(shaft: xr.Dataset, begin_s: Floats, length_s: float) -> FrameSpeeds:
@@ -98,10 +107,8 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     that channel. Float32 signals give float32 power.
     """
     shown_hz, grid_hz = settings.max_frequency_hz, settings.resolution_hz
-    if (
-        band.attrs["domain"] == "time"
-        and decimation_factor(float(band.attrs["rate_hz"]), shown_hz, grid_hz=grid_hz) > 1
-    ):
+    by_time = band.attrs["domain"] == "time"
+    if by_time and decimation_factor(float(band.attrs["rate_hz"]), shown_hz, grid_hz=grid_hz) > 1:
         band = band_limited(band, band_hz=shown_hz, grid_hz=grid_hz)  # orders needed more of it than is shown
     rate, signals = sample_rate_hz(band), band["signal"].values
     if math.isnan(rate):
@@ -172,14 +179,10 @@ def _window(settings: CampbellSettings, n_samples: int) -> Window:
 
 def _scales(signals: NDArray[np.floating]) -> Floats:
     """Power of two per channel that brings samples whose squares leave the range of their type near 1; else 1."""
-    scales = np.ones(len(signals))
-    fit = SQUARES_FIT.get(signals.dtype.char, SQUARES_FIT["d"])
-    for channel, row in enumerate(signals):
-        largest = max(float(row.max()), -float(row.min())) if len(row) else 0.0
-        if largest > 0.0 and not 1.0 / fit <= largest <= fit:
-            limit = 1000 if signals.dtype == np.float64 else 120
-            scales[channel] = 2.0 ** -min(max(math.frexp(largest)[1], -limit), limit)
-    return scales
+    fit, limit = (1e8, 2.0**120) if signals.dtype == np.float32 else (1e100, 2.0**1000)
+    largest = power_of_two(signals).ravel()
+    fits = (1.0 / fit <= largest) & (largest <= fit)
+    return np.where(fits, 1.0, 1.0 / np.clip(largest, 1.0 / limit, limit))
 
 
 def _dataset(

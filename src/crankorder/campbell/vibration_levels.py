@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
-from crankorder.campbell.band_levels import LEVEL_WORDS, WITH_ENDS, LevelKey, level_coords
+from crankorder.campbell.levels import LEVEL_COLUMNS, WITH_ENDS, LevelKey, level_coords
 from crankorder.quantities import Floats, Ints, QualityFlag, Variables, described, flags_of, with_flags
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.speeds import held_speeds
@@ -23,9 +23,6 @@ CONFIDENCE = 0.95
 
 
 NUMBERS = MethodNumbers("4-campbell-map.toml", "levels_of_test")
-
-
-_COLUMNS = (*LEVEL_WORDS, "low_frequency", "high_frequency", "reached_frequency", "si_per_unit")
 
 
 class _Group(NamedTuple):
@@ -89,7 +86,7 @@ def _joined(items: Sequence[xr.Dataset]) -> _Joined:
     ends, of_items = dict[LevelKey, tuple[float, float]](), list[tuple[Ints, Floats, Floats, Floats]]()
     number, frame_s, flags = dict[LevelKey, int](), list[float](), list[QualityFlag]()
     for item in items:
-        *parts, reached, si = (item.variables[name].values.tolist() for name in _COLUMNS)
+        *parts, reached, si = (item.variables[name].values.tolist() for name in LEVEL_COLUMNS)
         for key, hertz, size in zip(zip(*parts, strict=True), reached, si, strict=True):
             ends[key] = min(hertz, ends.get(key, (math.inf,))[0]), size
         rows = np.array([number.setdefault(key, len(number)) for key in zip(*parts, strict=True)], dtype=np.int64)

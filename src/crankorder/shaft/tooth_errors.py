@@ -99,9 +99,20 @@ def tooth_errors(
 
 
 def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedTeeth:
-    """``teeth`` at the times at which they would have come without their ``errors``."""
-    times = even_line_times(teeth.time_s, teeth.tooth, errors.line_error_rev)
-    return replace(teeth, time_s=times) if bool((np.diff(times) > 0.0).all()) else teeth
+    """``teeth`` at the times at which they would have come without their ``errors``, if these grow.
+
+    What a tooth number means stays: angle 0 is where line 0 should be, by the mean of all lines.
+    """
+    time_s, tooth, lines = teeth.time_s, teeth.tooth, errors.line_error_rev.size
+    # over a part of a revolution that averages the noise of pulses, and in which the speed hardly changes
+    reach = max(1, round(lines / 48 * time_s.size / (tooth[-1] - tooth[0] + 1)))
+    at = np.arange(time_s.size)
+    before, after = np.maximum(at - reach, 0), np.minimum(at + reach, at.size - 1)
+    moved = time_s
+    for _ in range(SPEED_ROUNDS):
+        tooth_s = (moved[after] - moved[before]) / (tooth[after] - tooth[before])
+        moved = time_s - errors.line_error_rev[tooth % lines] * lines * tooth_s
+    return replace(teeth, time_s=moved) if (np.diff(moved) > 0.0).all() else teeth
 
 
 def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
@@ -163,8 +174,12 @@ def _errors_in(pattern: LinePattern, ratio: float, least_share: float, *, engine
     count = int(high.sum())
     limits = (_limit(CHANCE_LOW, count), _limit(CHANCE_HIGH / count, count))
     stands = (harmonic >= 1) & (power > np.where(low, *limits) * level)
+    # no tooth makes the orders between those of the encoder
+    order = np.arange(pattern.cycle_rev.size)
+    between = (order % pattern.period_revs > 0) & (order * ratio / pattern.period_revs <= HIGHEST_MOTION)
+    swings = engine or (stands & low).any() or (np.abs(pattern.cycle_rev[between]) ** 2 > level).any()
     # where a shaft swings at one low order it may at all of them: sidebands tell how much of these is the teeth's
-    kept = stands | (low & (engine or bool((stands & low).any()) or _swings_between(pattern, ratio, level)))
+    kept = stands | (low & bool(swings))
     own = np.where(kept | (harmonic == 0), 0.0, pattern.harmonic_rev)
     error: Floats = np.fft.irfft(own * (lines / 2.0), lines)
     left = float(np.sum(kept)) * level + float(np.sum(power[low & ~kept]))
@@ -188,14 +203,6 @@ def _limit(chance: float, count: int) -> float:
     # a median tells the mean of an exponential distribution as well as the mean of half as many would
     known = 0.5 * count
     return float(known * (chance ** (-1.0 / known) - 1.0))
-
-
-def _swings_between(pattern: LinePattern, ratio: float, level: float) -> bool:
-    """Whether the shaft swings at orders between those of the encoder, which no tooth makes, as much as teeth do."""
-    revs = pattern.period_revs
-    order = np.arange(pattern.cycle_rev.size)
-    between = (order % revs > 0) & (order * ratio / revs <= HIGHEST_MOTION)
-    return bool((np.abs(pattern.cycle_rev[between]) ** 2 > level).any())
 
 
 def _white_level(power: Floats, variance: Floats, low: Bools, high: Bools) -> float:
@@ -325,30 +332,6 @@ def first_order(pattern: LinePattern, line_error_rev: Floats) -> LinePattern:
     harmonic[1 : bent.size] -= bent[1:]
     variance[1 : bent.size] += np.abs(BENT_DOUBT * bent[1:]) ** 2
     return replace(pattern, harmonic_rev=harmonic, harmonic_variance=variance)
-
-
-def even_line_times(time_s: Floats, tooth: Ints, line_error_rev: Floats) -> Floats:
-    """Times [s] (pulses,) at which the lines would have come if each stood where it should.
-
-    What a tooth number means stays: angle 0 is where line 0 should be, by the mean of all lines.
-
-    Parameters
-    ----------
-    time_s : (pulses,), s, increasing
-    tooth : (pulses,), tooth numbers, increasing
-    line_error_rev : (line,), true place of each line less where it should be, in encoder revolutions
-    """
-    lines = line_error_rev.size
-    line = tooth % lines
-    # over a part of a revolution that averages the noise of pulses, and in which the speed hardly changes
-    reach = max(1, round(lines / 48 * time_s.size / (tooth[-1] - tooth[0] + 1)))
-    at = np.arange(time_s.size)
-    before, after = np.maximum(at - reach, 0), np.minimum(at + reach, at.size - 1)
-    moved = time_s
-    for _ in range(SPEED_ROUNDS):
-        tooth_s = (moved[after] - moved[before]) / (tooth[after] - tooth[before])
-        moved = time_s - line_error_rev[line] * lines * tooth_s
-    return moved
 
 
 def _period_revs(ratio: float, revs_per_cycle: int) -> int:
