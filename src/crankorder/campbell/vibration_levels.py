@@ -56,7 +56,16 @@ def vibration_levels(items: Sequence[xr.Dataset], *, speed_bin_rpm: float) -> xr
             _tell(made, rows, column, joined.square[at], joined.peak[at], group.passage[pieces])
     _tell_sweeps(made, joined, groups)
     _allow_leaks(made, joined.keys)
-    result = _levels_dataset(joined, made, np.array([joined.rpm[group.pieces].mean() for group in groups]))
+    coords = level_coords(joined.keys, joined.reached_hz, joined.si)
+    rpm = np.array([joined.rpm[group.pieces].mean() for group in groups])
+    coords["speed"] = described("speed", rpm, "min-1", "mean speed")
+    variables: Variables = {}
+    for name, (units, text) in _TOLD.items():
+        variables[name] = described(("level", "speed"), made[name], units, text)
+        if (interval := f"{name}_ci95") in made:
+            text = f"95 % interval of {name}: low, high"
+            variables[interval] = described(("level", "speed", "bound"), made[interval], units, text)
+    result = xr.Dataset(variables, coords=coords)
     result.attrs = {"frame_s": min(joined.frame_s, default=math.nan), "speed_bin_rpm": speed_bin_rpm}
     return with_flags(result, joined.flags)
 
@@ -305,15 +314,3 @@ _TOLD = {
     "log_error": ("1", "standard error of the logarithm of the mean square"),
     "degrees_of_freedom": ("1", "degrees of freedom of log_error; 0 where it is not known"),
 }
-
-
-def _levels_dataset(joined: _Joined, made: dict[str, Floats], rpm: Floats) -> xr.Dataset:
-    coords = level_coords(joined.keys, joined.reached_hz, joined.si)
-    coords["speed"] = described("speed", rpm, "min-1", "mean speed")
-    variables: Variables = {}
-    for name, (units, text) in _TOLD.items():
-        variables[name] = described(("level", "speed"), made[name], units, text)
-        if (interval := f"{name}_ci95") in made:
-            text = f"95 % interval of {name}: low, high"
-            variables[interval] = described(("level", "speed", "bound"), made[interval], units, text)
-    return xr.Dataset(variables, coords=coords)

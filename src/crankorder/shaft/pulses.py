@@ -469,8 +469,7 @@ def _onwards(turns: Floats, quantum: float, flags: list[Remark]) -> Floats:
         raise InputError("the shaft turns both ways", found=f"{back:.3g} revolutions back", remedy="Leave it out")
     if back > max(BACKWARDS_REV, 2.0 * quantum):
         flags.append(("direction_changes", "suspect", f"the position goes back by {back:.3g} revolutions"))
-    onwards: Floats = 0.5 * (highest + np.minimum.accumulate(turns[::-1])[::-1])
-    return onwards
+    return np.asarray(0.5 * (highest + np.minimum.accumulate(turns[::-1])[::-1]))
 
 
 def _followed(position: npt.NDArray[np.floating]) -> tuple[Ints, Floats, Floats, Floats]:
@@ -532,22 +531,17 @@ def _wrap(jump: float, span: float, units_per_rev: Sequence[float], counted: boo
         turns = round(jump / unit)
         wraps = [unit, *(2.0**bits for bits in COUNTER_BITS)] if counted else [turns * unit]
         wraps += [max(float(round(jump)), span)] if counted and jump > MANY_TURNS * unit else []
-        near = [
-            wrap
-            for wrap in wraps
-            if abs(jump - wrap) <= (SAME_COUNTS + LOST_COUNTS * wrap if counted else SAME_TURN * wrap)
-        ]
+        slack, share = (SAME_COUNTS, LOST_COUNTS) if counted else (0.0, SAME_TURN)
+        near = [wrap for wrap in wraps if abs(jump - wrap) <= slack + share * wrap]
         if jump == 0.0 or (near and (turns <= 2 or len(units_per_rev) == 1)):
             return unit, near[0] if near else 0.0
-    raise InputError(
-        f"the position starts anew after {jump:.5g}, which is no whole turn",
-        place="encoder.pulses_per_rev" if counted else "encoder.source",
-        found=" or ".join(f"{unit:g} per revolution" for unit in units_per_rev),
-        allowed="pulses_per_rev, where an index sets the count to 0, or 65536 and other widths of counters"
-        if counted
-        else "360 deg, 6.2832 rad, 1 rev, and multiples",
-        remedy="State the counts of a turn, four for each line of most encoders" if counted else "Mend its unit",
-    )
+    place, remedy, allowed = "encoder.source", "Mend its unit", "360 deg, 6.2832 rad, 1 rev, and multiples"
+    if counted:
+        place, remedy = "encoder.pulses_per_rev", "State the counts of a turn, four for each line of most encoders"
+        allowed = "pulses_per_rev, where an index sets the count to 0, or 65536 and other widths of counters"
+    found = " or ".join(f"{unit:g} per revolution" for unit in units_per_rev)
+    problem = f"the position starts anew after {jump:.5g}, which is no whole turn"
+    raise InputError(problem, place=place, found=found, allowed=allowed, remedy=remedy)
 
 
 def _quantum(turns: Floats) -> float:

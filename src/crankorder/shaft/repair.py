@@ -89,24 +89,7 @@ def running_parts(
     if joined and len(still) == len(stops):
         fewest = max(FEWEST_PULSES, FEWEST_REVS * pulses_per_rev)
         used = [part for part in parts if part == longest or part.stop - part.start > fewest]
-    return used, _left_out(time_s, parts, used, still, [at for at in stops if at not in still], pulses_per_rev)
-
-
-def running_part(time_s: Floats, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
-    """The longest of the :func:`running_parts` of ``time_s``, and remarks; ``pulses_per_rev`` and ``gap`` as there."""
-    parts, flags = running_parts(time_s, pulses_per_rev=pulses_per_rev, gap=gap)
-    return parts[0], flags
-
-
-def _left_out(
-    time_s: Floats,
-    parts: list[slice],
-    used: list[slice],
-    still: list[int],
-    lost: list[int],
-    pulses_per_rev: float,
-) -> list[Remark]:
-    """Remarks on those of the ``parts`` that are not ``used``, and on the holes at which the shaft stands or not."""
+    lost = [at for at in stops if at not in still]
     stray = [part for part in parts if part.stop - part.start < max(2.0, pulses_per_rev) and part not in used]
     flags: list[Remark] = []
     if still:
@@ -122,7 +105,13 @@ def _left_out(
     runs = [part for part in parts if part not in stray and part not in used]
     if runs:
         flags.append(("encoder_part_unused", "suspect", f"shorter runs of the shaft left out, {_times(time_s, runs)}"))
-    return flags
+    return used, flags
+
+
+def running_part(time_s: Floats, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
+    """The longest of the :func:`running_parts` of ``time_s``, and remarks; ``pulses_per_rev`` and ``gap`` as there."""
+    parts, flags = running_parts(time_s, pulses_per_rev=pulses_per_rev, gap=gap)
+    return parts[0], flags
 
 
 def _turning_points(step: Floats) -> list[int]:

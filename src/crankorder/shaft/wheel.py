@@ -52,11 +52,9 @@ def at_index(
         usual = float(values[np.argmax(counts)])
         period = min(wanted, key=lambda count: abs(count - usual))
         if usual != round(period) and counts.max() > 0.5 * between.size:
-            raise InputError(
-                f"{usual:.0f} pulses per index measured, {period:g} configured",
-                place="encoder.pulses_per_rev",
-                remedy="Mend pulses_per_rev (or ratio) in run.toml",
-            )
+            problem = f"{usual:.0f} pulses per index measured, {period:g} configured"
+            remedy = "Mend pulses_per_rev (or ratio) in run.toml"
+            raise InputError(problem, place="encoder.pulses_per_rev", remedy=remedy)
     anchor, slip = _slips(place, period)
     renumbered, slipped, odd = _unslipped(tooth, np.searchsorted(time_s, marks), slip)
     odd |= np.append((np.diff(place) < 0.25 * period) & (np.diff(slip) == 0), False)
