@@ -90,12 +90,7 @@ def tooth_errors(
     pattern = repeating(revs_per_cycle=revs_per_cycle) or repeating(revs_per_cycle=1)
     if pattern is None:
         return None
-    errors = _errors_in(pattern, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
-    if errors is None:
-        return None
-    # what teeth and motion make together is known once the teeth are
-    added = first_order(pattern, errors.line_error_rev)
-    return _errors_in(added, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1) or errors
+    return _errors_in(pattern, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
 
 
 def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedTeeth:
@@ -233,10 +228,8 @@ SOME_TIMES, FEWEST_STEPS, COUNT_SLACK = 1024, 32, 0.05
 SOME_LINES, SAWTOOTH_HARMONICS = 32, 4
 # Rounding that is the same in every period is not spread evenly over the orders: those that matter may get more.
 GATHERED = 1.5
-# Encoder orders up to which motion counts for what is of second order; least part of an order that the means leave.
+# Encoder orders up to which motion between those of the teeth is sought; least part of an order that the means leave.
 LOW_ORDERS, LEAST_GAIN = 24, 0.005
-# Share of what is of second order in the motion that is not sure.
-BENT_DOUBT = 0.01
 # Times that the speed at a line is taken: at first the errors of the lines beside it are in it.
 SPEED_ROUNDS = 2
 
@@ -307,31 +300,6 @@ def line_pattern(
     steps = max(noise_s, _tick_s(time_s) / math.sqrt(12.0))
     fixed = _fixed_noise(smooth_s.reshape(n_periods, period), by_period, steps, mean_rev_s)
     return _averaged(by_period, shift, lines, fixed)
-
-
-def first_order(pattern: LinePattern, line_error_rev: Floats) -> LinePattern:
-    """``pattern`` without what is of second order in line errors and motion, so that both add up and follow the torque.
-
-    Taken out is the motion between where a line is and where it should be, and what a flywheel does because it is its
-    energy, not its speed, that goes with the torque: 1/speed² - 1 is twice the first order of 1/speed - 1.
-
-    ``pattern``: of one recording. ``line_error_rev``: (line,), true place of each line less where it should be, as far
-    as it is known.
-    """
-    lines, revs = line_error_rev.size, pattern.period_revs
-    motion = pattern.cycle_rev.copy()
-    own = np.fft.rfft(line_error_rev)[: (motion.size - 1) // revs + 1] * (2.0 / lines)
-    motion[::revs] -= own
-    order = np.arange(motion.size) / revs
-    rise = np.fft.irfft(2j * np.pi * order * motion * (0.5 * lines * revs), lines * revs)
-    crossed = line_error_rev * rise.reshape(revs, lines).mean(axis=0)
-    bent = np.fft.rfft(rise - 0.5 * (1.0 - (1.0 + rise) ** -2))[: motion.size : revs] * (2.0 / (lines * revs))
-    harmonic = pattern.harmonic_rev - np.fft.rfft(crossed) * (2.0 / lines)
-    variance = pattern.harmonic_variance.copy()
-    bent[1:] /= 2j * np.pi * np.arange(1, bent.size)
-    harmonic[1 : bent.size] -= bent[1:]
-    variance[1 : bent.size] += np.abs(BENT_DOUBT * bent[1:]) ** 2
-    return replace(pattern, harmonic_rev=harmonic, harmonic_variance=variance)
 
 
 def _period_revs(ratio: float, revs_per_cycle: int) -> int:
