@@ -19,9 +19,8 @@ from typing import Any, NewType, TypeVar, get_type_hints
 import numpy as np
 import xarray as xr
 
-from crankorder.campbell.band_levels import LevelBand, level_frames, limit_bands, third_octaves
 from crankorder.campbell.frames import frequency_frames
-from crankorder.campbell.levels import recording_levels
+from crankorder.campbell.levels import LevelBand, level_frames, limit_bands, recording_levels, third_octaves
 from crankorder.campbell.map import campbell_map
 from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.checks.doubts import Doubts, Gathered, RecordingResult, doubts_of, flags_of_all
@@ -79,9 +78,8 @@ from crankorder.quantities import (
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
 from crankorder.shaft.decode import PULSE_KINDS, flags_named, shaft_angle
-from crankorder.shaft.standstill import NO_PULSES, silent_ends
-from crankorder.shaft.summary import named_speed_remarks, shaft_summary
-from crankorder.shaft.tooth_errors import speed_swings
+from crankorder.shaft.repair import NO_PULSES, silent_ends
+from crankorder.shaft.speeds import named_speed_remarks, shaft_summary, speed_swings
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)

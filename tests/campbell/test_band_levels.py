@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, signal
 
-from crankorder.campbell.band_levels import (
+from crankorder.campbell.levels import (
     THIRD_OCTAVES_HZ,
     LevelBand,
     level_frames,
@@ -152,11 +152,9 @@ def test_missing_samples_take_no_part_and_short_recordings_have_no_level():
 
 
 def test_blocks_of_a_long_recording_meet_without_a_seam(monkeypatch):
-    from crankorder.campbell import band_levels
-
     values = np.cumsum(np.random.default_rng(5).standard_normal(int(60 * 2560.0)))
     whole = levels(accelerometer(values, 2560.0), bands=(*WIDE, *third_octaves()))
-    monkeypatch.setattr(band_levels, "_BLOCK", 1 << 15)
+    monkeypatch.setattr("crankorder.campbell.levels._STRETCH", 1 << 15)
     parts = levels(accelerometer(values, 2560.0), bands=(*WIDE, *third_octaves()))
     wide = slice(0, 2)
     assert parts["rms"].values[wide] == pytest.approx(whole["rms"].values[wide], rel=2e-3)

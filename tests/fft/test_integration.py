@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crankorder.fft.integration import integrated
+from crankorder.fft.transforms import integrated
 
 RATE_HZ = 4096.0
 
@@ -29,13 +29,11 @@ def test_lines_are_integrated_in_size_and_phase(times, seed):
 
 
 def test_missing_samples_stay_missing_and_blocks_have_no_seam(monkeypatch):
-    from crankorder.fft import integration
-
     values = np.random.default_rng(1).standard_normal(200_000).astype(np.float32)
     values[5000:5010] = np.nan
     whole = integrated(values, RATE_HZ, times=1, highpass_hz=2.0, half_octaves=0.5)
     assert np.flatnonzero(np.isnan(whole)).tolist() == [*range(2048), *range(5000, 5010), *range(197_952, 200_000)]
     assert whole.dtype == np.float32
-    monkeypatch.setattr(integration, "_BLOCK", 1 << 15)
+    monkeypatch.setattr("crankorder.fft.transforms._TOGETHER", 1 << 15)
     parts = integrated(values, RATE_HZ, times=1, highpass_hz=2.0, half_octaves=0.5)
     assert np.nanmax(np.abs(parts - whole)) < 0.01 * np.nanstd(whole)

@@ -1,5 +1,6 @@
 """FFTW and scipy carry out the same plans; without FFTW nothing of it is loaded."""
 
+import os
 import subprocess
 import sys
 
@@ -63,6 +64,7 @@ def test_an_inverse_is_a_plain_sum(library):
 @pytest.mark.parametrize("how", ["absent", pytest.param("not wanted", marks=pytest.mark.slow)])
 def test_without_fftw_nothing_of_it_is_loaded(how):
     environment = {"PATH": "/usr/bin:/bin", "HOME": "/tmp"} | ({} if how == "absent" else {VARIABLE: "scipy"})
+    environment |= {name: os.environ[name] for name in ("NUMBA_CACHE_DIR", "PYTHONPATH") if name in os.environ}
     command = [sys.executable, "-c", _WITHOUT_FFTW, how]
     ended = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr[-2000:]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from crankorder.campbell.band_levels import level_frames, limit_bands
+from crankorder.campbell.levels import level_frames, limit_bands
 from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.findings import Balance
 from crankorder.identify.levels import graded, limit_verdicts, third_octave_records, vibration_records

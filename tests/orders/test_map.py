@@ -10,7 +10,7 @@ from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import order_tracks
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from crankorder.shaft.speed_groups import held_speeds, speed_groups
+from crankorder.shaft.speeds import held_speeds, speed_groups
 from made.order_spectra import REVS, SAMPLES_PER_REV, angle_frames, coloured, lines
 from made.recordings import line, run_up, steady, total
 

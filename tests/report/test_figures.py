@@ -18,7 +18,7 @@ from crankorder.plot.painter import picture_bytes
 from crankorder.plot.palette import LIGHT, level_colours
 from crankorder.plot.spectra_figure import envelope_figure, order_spectra_figure, spectra_figure, spectrum_figure
 from crankorder.report.pictures import pictures_of
-from crankorder.shaft.summary import speed_trace, trace_variables
+from crankorder.shaft.speeds import speed_trace, trace_variables
 from made.typed import from_dicts
 from report.conftest import overlaps, texts
 

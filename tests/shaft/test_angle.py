@@ -13,6 +13,7 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots, time_at
 from crankorder.shaft.pattern import pattern_of
 from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.uneven_wheel import wheel_of
 from crankorder.shaft.wheel import number_teeth
 from made.recordings import manifest, write_hdf5
 
@@ -174,7 +175,7 @@ def knots_and_error(name, noise_s, at):
     exact, place = pulses_of(name)
     pulse_s = exact + noise_s * np.random.default_rng(3).standard_normal(exact.size)
     angles = pattern_of(name).angles_deg
-    teeth = number_teeth(pulse_s, pulses_per_rev=1, tooth_angles_deg=angles, settings=SETTINGS)
+    teeth = number_teeth(pulse_s, wheel_of(1, tooth_angles_deg=angles), settings=SETTINGS)
     knots = angle_knots(
         teeth.time_s, teeth.tooth, teeth_per_rev=teeth.teeth_per_rev, noise_s=max(noise_s, 1e-9), settings=SETTINGS
     )

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from crankorder.errors import InputError, RequestError
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
-from crankorder.shaft.angle import angle_at
+from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
-from crankorder.shaft.line_pattern import line_pattern
 from crankorder.shaft.pattern import grid_of, known_names, pattern_of
 from crankorder.shaft.repair import running_part
-from crankorder.shaft.tooth_errors import same_wheel, speed_swing, stated_teeth, tooth_errors
-from crankorder.shaft.uneven_wheel import find_pattern
+from crankorder.shaft.speeds import speed_swing
+from crankorder.shaft.tooth_errors import line_pattern, same_wheel, stated_teeth, tooth_errors
+from crankorder.shaft.uneven_wheel import find_pattern, wheel_of
 from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.lines import lag_by_order
 from crankorder.synth.motion import Motion
@@ -42,15 +42,19 @@ def pulses_of(name, *, start_rev=0.37, **motion):
     """Times of the pulses of a wheel that starts ``start_rev`` past tooth 1, and the true angle of each."""
     time_s, angle = angle_function(**motion)
     angle = angle + start_rev
-    places = np.array(pattern_of(name).angles_deg if isinstance(name, str) else name) / 360.0
-    wanted = (np.arange(int(angle[-1]) + 2)[:, None] + places).ravel()
+    return passed(pattern_of(name).angles_deg if isinstance(name, str) else name, time_s, angle)
+
+
+def passed(angles_deg, time_s, angle):
+    """Times at which teeth at ``angles_deg`` pass a shaft at ``angle`` [rev], and the true angle of each."""
+    wanted = (np.arange(int(angle[-1]) + 2)[:, None] + np.array(angles_deg) / 360.0).ravel()
     wanted = wanted[(wanted > angle[0]) & (wanted < angle[-1])]
     return np.interp(wanted, angle, time_s), wanted
 
 
 def numbered(name, pulse_s, **options):
     angles = pattern_of(name).angles_deg if isinstance(name, str) else name
-    return number_teeth(pulse_s, pulses_per_rev=1, tooth_angles_deg=angles, settings=SETTINGS, **options)
+    return number_teeth(pulse_s, wheel_of(1, tooth_angles_deg=angles), settings=SETTINGS, **options)
 
 
 def assert_true_angles(teeth, true_time_s, true_rev, repeats=1, atol=1e-9):
@@ -96,7 +100,7 @@ def test_a_wheel_that_repeats_takes_its_phase_from_the_index(recording_of):
     assert alone.attrs["phase_reference"] == "none"
     both = shaft_angle(recording_of(pulse_s, tooth_angles_deg=angles, index_time_s=index_s), settings=SETTINGS)
     assert both.attrs["phase_reference"] == "index"
-    reached = angle_at(index_s[1:-1], both["time"].values, both["crank_angle"].values, both["speed"].values)
+    reached = angle_at(index_s[1:-1], **knots_of(both))
     np.testing.assert_allclose(reached, np.round(reached), atol=2e-3)
 
 
@@ -158,7 +162,7 @@ def test_a_recording_that_states_no_wheel_is_decoded_by_the_one_found_and_says_s
     (flag,) = [flag for flag in flags_of(angle) if flag["flag"] == "encoder_pattern_found"]
     assert flag["severity"] == "suspect"
     assert "36-2-1 (33 pulses), seen in 100% of" in flag["detail"]
-    reached = angle_at(pulse_s, angle["time"].values, angle["crank_angle"].values, angle["speed"].values)
+    reached = angle_at(pulse_s, **knots_of(angle))
     np.testing.assert_allclose((reached - true_rev)[8:-8], np.round((reached - true_rev)[8]), atol=1e-3)
 
 
@@ -218,7 +222,7 @@ def test_a_kick_back_after_a_stop_takes_no_part(recording_of):
 def test_pulses_lost_for_long_at_steady_speed_are_filled_in_and_no_standstill():
     pulse_s, true_rev = pulses_of("360", irregularity=0.0)
     few = np.delete(pulse_s, np.arange(5000, 5200))
-    teeth = number_teeth(few, pulses_per_rev=360, settings=SETTINGS)
+    teeth = number_teeth(few, wheel_of(360), settings=SETTINGS)
     assert "standstill" not in {flag for flag, _, _ in teeth.flags}
     assert teeth.n_repaired == 200
     true = np.round(360 * np.interp(teeth.time_s, pulse_s, true_rev)).astype(int)
@@ -228,7 +232,7 @@ def test_pulses_lost_for_long_at_steady_speed_are_filled_in_and_no_standstill():
 def test_a_hole_at_changing_speed_splits_the_train_and_says_so():
     pulse_s, _ = pulses_of("60", start_rpm=600.0, end_rpm=3000.0)
     hole = pulse_s[(pulse_s < 1.0) | (pulse_s > 1.6)]
-    teeth = number_teeth(hole, pulses_per_rev=60, settings=SETTINGS)
+    teeth = number_teeth(hole, wheel_of(60), settings=SETTINGS)
     told = {flag: detail for flag, _, detail in teeth.flags}
     assert "no pulses from 0.9" in told["encoder_gap"]
     assert "encoder_part_unused" in told
@@ -250,10 +254,7 @@ def cranking(name, seed, *, revs=4.3):
     speed = rpm / 60.0 * (1.0 + ripple * np.cos(2.0 * np.pi * order * angle + phase))
     speed *= np.sqrt(np.clip((angle - start_rev + 0.004) / 0.3, 0.0, 1.0)) if seed % 2 else 1.0
     time_s = np.concatenate(([0.0], np.cumsum(np.diff(angle) / (0.5 * (speed[1:] + speed[:-1])))))
-    places = np.array(pattern_of(name).angles_deg) / 360.0
-    wanted = (np.arange(int(angle[-1]) + 2)[:, None] + places).ravel()
-    wanted = wanted[(wanted > angle[0]) & (wanted < angle[-1])]
-    return np.interp(wanted, angle, time_s), wanted
+    return passed(pattern_of(name).angles_deg, time_s, angle)
 
 
 @pytest.mark.parametrize("name", ["12+1", "60-2", "36-1", "24-1", "36-2-2-2"])
@@ -299,13 +300,13 @@ def drawn(wheel, share, seed):
 
 
 def found_in(times, wheel, *, revs_per_cycle=1):
-    teeth = number_teeth(times, pulses_per_rev=wheel[0], missing_teeth=wheel[1], settings=SETTINGS)
+    teeth = number_teeth(times, wheel_of(*wheel), settings=SETTINGS)
     return tooth_errors(teeth, ratio=1.0, revs_per_cycle=revs_per_cycle, noise_s=0.0, settings=SETTINGS)
 
 
-def decoded(recording_of, times, wheel, **attrs):
-    given = {"pulses_per_rev": wheel[0], "missing_teeth": wheel[1], "revs_per_cycle": 1} | attrs
-    return shaft_angle(recording_of(times, **given), settings=SETTINGS)
+def decoded(recording_of, times, wheel, by=SETTINGS):
+    given = {"pulses_per_rev": wheel[0], "missing_teeth": wheel[1], "revs_per_cycle": 1}
+    return shaft_angle(recording_of(times, **given), settings=by)
 
 
 @pytest.mark.parametrize("wheel", EVEN_WHEELS)
@@ -362,8 +363,7 @@ def test_small_errors_of_teeth_are_learned_where_the_encoder_is_in_doubt(recordi
     doubting = load_settings("calibrated-encoder").shaft
     error = {}
     for name, by in (("default", SETTINGS), ("doubting", doubting)):
-        recording = recording_of(times, pulses_per_rev=wheel[0], missing_teeth=0, revs_per_cycle=1)
-        shaft = shaft_angle(recording, settings=by)
+        shaft = decoded(recording_of, times, wheel, by)
         error[name] = np.std(shaft["crank_angle"].values - shaft["time"].values * 1000.0 / 60.0)
     assert error["doubting"] < 0.6 * error["default"]
 

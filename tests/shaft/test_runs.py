@@ -9,9 +9,8 @@ import xarray as xr
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots
-from crankorder.shaft.decode import shaft_angle
-from crankorder.shaft.repair import running_parts
-from crankorder.shaft.standstill import ShaftRun, joined, silent_ends
+from crankorder.shaft.decode import ShaftRun, joined, shaft_angle
+from crankorder.shaft.repair import running_parts, silent_ends
 from made.command import analysed
 from made.recordings import manifest, write_hdf5
 

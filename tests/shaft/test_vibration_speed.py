@@ -66,7 +66,7 @@ def followed(name):
 @pytest.mark.parametrize("name", MOTIONS)
 def test_speed_follows_a_known_motion_and_is_unsure_where_it_does_not(name):
     found = followed(name)
-    error = np.abs(found.speed_rpm / speed_rpm(MOTIONS[name], found.time_s) - 1.0)
+    error = np.abs(found.knots.speed_rpm / speed_rpm(MOTIONS[name], found.knots.time_s) - 1.0)
     assert np.median(error) < 0.002
     assert np.quantile(error, 0.95) < 0.01
     assert not ((error > 0.02) & (found.confidence > 0.8)).any()
@@ -90,14 +90,14 @@ def test_the_angle_is_told_within_a_few_degrees_and_its_standard_error_is_honest
 def test_tones_that_hold_still_do_not_attract_a_sweep():
     signal = vibration(MOTIONS["run-up"], 10.0, orders=SOME, tones={50.0: 1.0, 150.0: 0.5, 236.0: 1.0})
     found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
-    error = np.abs(found.speed_rpm / speed_rpm(MOTIONS["run-up"], found.time_s) - 1.0)
+    error = np.abs(found.knots.speed_rpm / speed_rpm(MOTIONS["run-up"], found.knots.time_s) - 1.0)
     assert np.median(error) < 0.005
     assert not ((error > 0.02) & (found.confidence > 0.8)).any()
 
 
 def test_even_orders_alone_are_a_tie_that_half_the_found_speed_explains_too():
     found = speed_from_vibration(vibration(steady(30.0), 5.0, orders=EVEN), RATE_HZ, settings=SETTINGS)
-    assert np.median(found.speed_rpm) == pytest.approx(3600.0, rel=1e-3)
+    assert np.median(found.knots.speed_rpm) == pytest.approx(3600.0, rel=1e-3)
     assert [tie.ratio for tie in found.ties][:1] == [0.5]
     assert 0.1 < found.ties[0].relative_evidence < 1.0
     assert "speed_tie" in {flag for flag, _, _ in found.remarks}
@@ -112,7 +112,7 @@ def test_what_is_known_of_the_machine_decides_the_tie():
     for known in rows:
         signal = vibration(steady(30.0), 5.0, orders=EVEN)
         found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS, **known)  # type: ignore[arg-type]
-        assert np.median(found.speed_rpm) == pytest.approx(1800.0, rel=1e-3)
+        assert np.median(found.knots.speed_rpm) == pytest.approx(1800.0, rel=1e-3)
         assert 2.0 not in {tie.ratio for tie in found.ties}
 
 
@@ -141,17 +141,17 @@ def test_units_do_not_matter_and_the_same_input_gives_the_same_bytes():
     signal = np.concatenate([vibration(steady(30.0), 3.0, orders=SOME, seed=seed) for seed in (1, 2)])
     first = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
     again = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
-    assert first.speed_rpm.tobytes() == again.speed_rpm.tobytes()
+    assert first.knots.speed_rpm.tobytes() == again.knots.speed_rpm.tobytes()
     assert first.knots.angle_rev.tobytes() == again.knots.angle_rev.tobytes()
     scaled = speed_from_vibration(signal * np.array([[1024.0], [1 / 64]]), RATE_HZ, settings=SETTINGS)
-    np.testing.assert_allclose(scaled.speed_rpm, first.speed_rpm, rtol=1e-6)
+    np.testing.assert_allclose(scaled.knots.speed_rpm, first.knots.speed_rpm, rtol=1e-6)
 
 
 def test_a_dead_channel_changes_nothing():
     signal = vibration(steady(30.0), 3.0, orders=SOME)
     alone = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
     beside = speed_from_vibration(np.vstack([signal, np.full_like(signal, 3.0)]), RATE_HZ, settings=SETTINGS)
-    np.testing.assert_array_equal(beside.speed_rpm, alone.speed_rpm)
+    np.testing.assert_array_equal(beside.knots.speed_rpm, alone.knots.speed_rpm)
 
 
 def test_a_signal_that_cannot_tell_a_speed_is_refused():
@@ -171,7 +171,7 @@ def test_a_firing_engine_is_followed_to_a_part_in_a_thousand():
     rate_hz = scene.rate_hz(run.speed_rpm)
     signal = synthesise(scene, run, floor_of(scene, rate_hz)).recorded.samples.astype(np.float64)
     found = speed_from_vibration(signal, rate_hz, settings=SETTINGS, order_weights=FOUR_STROKE_WEIGHTS)
-    assert np.median(np.abs(found.speed_rpm / run.speed_rpm - 1.0)) < 1e-3
+    assert np.median(np.abs(found.knots.speed_rpm / run.speed_rpm - 1.0)) < 1e-3
     assert np.median(found.confidence) > 0.9
 
 
@@ -181,8 +181,8 @@ def test_a_measured_car_run_up_agrees_with_its_speed_track(shared_data):
         rate_hz, frames = file.getframerate(), file.readframes(file.getnframes())
     pressure, speed = np.frombuffer(frames, dtype="<i2").reshape(-1, 2).T / 32768.0 * [[0.99655], [4821.43]]
     found = speed_from_vibration(pressure[None], rate_hz, settings=SETTINGS, order_weights=FOUR_STROKE_WEIGHTS)
-    track = np.interp(found.time_s, np.arange(speed.size) / rate_hz, speed)
-    error = np.abs(found.speed_rpm / track - 1.0)
+    track = np.interp(found.knots.time_s, np.arange(speed.size) / rate_hz, speed)
+    error = np.abs(found.knots.speed_rpm / track - 1.0)
     assert np.median(error) < 0.003
     assert np.quantile(error, 0.95) < 0.01
 
@@ -201,8 +201,8 @@ def test_measured_rotor_coast_downs_agree_with_their_tach(shared_data):
         found = speed_from_vibration(
             acceleration[None], 952.0, settings=SETTINGS, order_weights={1.0: 0.95, 2.0: 0.4, 3.0: 0.2}
         )
-        inside = (found.time_s > 0.15) & (found.time_s < 0.85)
-        error = found.speed_rpm[inside] / (60.0 * np.polyval(fit, found.time_s[inside])) - 1.0
+        inside = (found.knots.time_s > 0.15) & (found.knots.time_s < 0.85)
+        error = found.knots.speed_rpm[inside] / (60.0 * np.polyval(fit, found.knots.time_s[inside])) - 1.0
         assert np.median(np.abs(error)) < 0.012, path
 
 
@@ -213,4 +213,4 @@ def test_a_measured_bearing_rig_turns_as_its_file_says(shared_data):
         (stated_rpm,) = (float(table[key].item()) for key in table if key.endswith("RPM"))
         signal = np.array([table[key].ravel() for key in sorted(table) if key.endswith("_time")])[:, :60_000]
         found = speed_from_vibration(signal, 12_000.0, settings=SETTINGS)
-        assert np.median(found.speed_rpm) == pytest.approx(stated_rpm, rel=0.005), name
+        assert np.median(found.knots.speed_rpm) == pytest.approx(stated_rpm, rel=0.005), name

@@ -10,6 +10,7 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.uneven_wheel import wheel_of as numbered_wheel
 from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.encoder import encoder_signals, encoder_turn, passed_pulses, sampled_encoder, wheel_of
 from crankorder.synth.motion import Motion
@@ -167,7 +168,7 @@ def numbered(made, encoder):
     pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
     index_s = None if made.index is None else find_pulses(made.index, pulses_per_rev=1, **how).time_s
     return number_teeth(
-        pulses.time_s, pulses_per_rev=encoder.pulses_per_rev, missing_teeth=encoder.missing_teeth,
+        pulses.time_s, numbered_wheel(encoder.pulses_per_rev, encoder.missing_teeth),
         index_time_s=index_s, noise_s=pulses.noise_s, settings=SHAFT,
     )  # fmt: skip
 

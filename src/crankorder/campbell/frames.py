@@ -11,23 +11,12 @@ from numpy.typing import NDArray
 
 from crankorder.fft.decimation import band_limited, decimation_factor
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
-from crankorder.fft.windows import Window, window_named
+from crankorder.fft.windows import Window, power_of_two, window_named
 from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, described, remark, unindexed, with_flags
 from crankorder.settings import CampbellSettings, MethodNumbers
 from crankorder.shaft.angle import angle_at, knots_of
 
 NUMBERS = MethodNumbers("4-campbell-map.toml", "frames")
-
-SQUARES_FIT = {"f": 1e8, "d": 1e100}
-"""Largest samples up to this, and from its inverse on, are squared as they are, by type code; others are scaled."""
-
-
-@dataclass(frozen=True)
-class FrameSpeeds:
-    """Mean speed and change of speed from begin to end of each frame (frames,), in rpm."""
-
-    mean_rpm: Floats
-    change_rpm: Floats
 
 
 def sample_rate_hz(recording: xr.Dataset) -> float:
@@ -37,19 +26,34 @@ def sample_rate_hz(recording: xr.Dataset) -> float:
     return float(recording.attrs.get("rate_hz", math.nan))
 
 
-def frame_speeds(band: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float) -> FrameSpeeds:
-    """FrameSpeeds of the frames of ``length`` samples at ``rate_hz`` that begin at samples ``starts`` of ``band``.
+def frame_speeds(
+    band: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float
+) -> tuple[Floats, Floats]:
+    """Mean speed and change of speed from begin to end [rpm] (frames,) of frames of ``band``.
 
-    The mean is the revolutions that the ``shaft`` made over the time they took; the change is twice the difference of
-    the means of both halves, which uneven running within a cycle does not reach.
+    They are of ``length`` samples at ``rate_hz`` and begin at samples ``starts``. The mean is the revolutions that the
+    ``shaft`` made over the time they took; the change is twice the difference of the means of both halves, which uneven
+    running within a cycle does not reach.
     """
     if band.attrs["domain"] == "crank_angle":
-        return FrameSpeeds(np.full(len(starts), float(band.attrs.get("speed_rpm", math.nan))), np.zeros(len(starts)))
+        return np.full(len(starts), float(band.attrs.get("speed_rpm", math.nan))), np.zeros(len(starts))
     begin = float(band.attrs.get("start_s", 0.0)) + starts / rate_hz
     return _speeds(shaft, begin, length / rate_hz)
 
 
-def _speeds(shaft: xr.Dataset, begin_s: Floats, length_s: float) -> FrameSpeeds:
+def piece_speeds(recording: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float) -> Floats:
+    """Mean speed [rpm] of the pieces of :func:`frame_speeds`; NaN where it is not known, or the shaft does not turn on.
+
+    ``recording`` and its ``shaft``; ``starts`` (pieces,): first samples at ``rate_hz`` of the pieces of ``length``.
+    """
+    rpm = np.full(len(starts), np.nan)
+    by_angle = recording.attrs["domain"] == "crank_angle"
+    if len(starts) and shaft.attrs.get("has_shaft", 1) and (by_angle or shaft["time"].size):
+        rpm, _ = frame_speeds(recording, shaft, starts, length, rate_hz)
+    return np.where(rpm > 0.0, rpm, np.nan)
+
+
+def _speeds(shaft: xr.Dataset, begin_s: Floats, length_s: float) -> tuple[Floats, Floats]:
     knots = knots_of(shaft)
     span = (float(shaft["time"].values[0]), float(shaft["time"].values[-1]))
     first, middle, last = (np.clip(begin_s + share * length_s, *span) for share in (0.0, 0.5, 1.0))
@@ -57,7 +61,7 @@ def _speeds(shaft: xr.Dataset, begin_s: Floats, length_s: float) -> FrameSpeeds:
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = 60.0 * (angles[2] - angles[0]) / (last - first)
         halves = 60.0 * (angles[2] - angles[1]) / (last - middle) - 60.0 * (angles[1] - angles[0]) / (middle - first)
-    return FrameSpeeds(np.asarray(mean), np.nan_to_num(2.0 * halves, posinf=0.0, neginf=0.0))
+    return np.asarray(mean), np.nan_to_num(2.0 * halves, posinf=0.0, neginf=0.0)
 
 
 def sweep_limit_s(band: xr.Dataset, shaft: xr.Dataset, length_s: float, *, enbw_bins: float, order: float) -> float:
@@ -71,7 +75,7 @@ def sweep_limit_s(band: xr.Dataset, shaft: xr.Dataset, length_s: float, *, enbw_
         return math.inf
     first, last = float(shaft["time"].values[0]), float(shaft["time"].values[-1])
     begin = np.arange(first, max(first + 1e-12, last - length_s * (1 - 1e-9)), 0.5 * length_s)
-    change_hz = np.abs(_speeds(shaft, begin, min(length_s, last - first)).change_rpm) / 60.0
+    change_hz = np.abs(_speeds(shaft, begin, min(length_s, last - first))[1]) / 60.0
     sweep = order * float(np.quantile(change_hz, NUMBERS.running_share)) / length_s
     return math.sqrt(enbw_bins / sweep) if sweep > 0.0 else math.inf
 
@@ -98,10 +102,8 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     that channel. Float32 signals give float32 power.
     """
     shown_hz, grid_hz = settings.max_frequency_hz, settings.resolution_hz
-    if (
-        band.attrs["domain"] == "time"
-        and decimation_factor(float(band.attrs["rate_hz"]), shown_hz, grid_hz=grid_hz) > 1
-    ):
+    by_time = band.attrs["domain"] == "time"
+    if by_time and decimation_factor(float(band.attrs["rate_hz"]), shown_hz, grid_hz=grid_hz) > 1:
         band = band_limited(band, band_hz=shown_hz, grid_hz=grid_hz)  # orders needed more of it than is shown
     rate, signals = sample_rate_hz(band), band["signal"].values
     if math.isnan(rate):
@@ -117,10 +119,22 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     power = FrameTransform(plan.window, n_fft=plan.n_fft, n_bins=n_bins).power(signals, starts, scales=scales)
     if "usable" in band:
         power[~whole_frames(band["usable"].values, starts, length)] = np.nan
-    speeds = frame_speeds(band, shaft, starts, length, rate)
+    speed_rpm, change_rpm = frame_speeds(band, shaft, starts, length, rate)
     if not shaft.attrs.get("has_shaft", 1):
-        speeds = FrameSpeeds(np.full(len(starts), np.nan), np.zeros(len(starts)))
-    frames = _dataset(band, power, np.arange(power.shape[2], dtype=np.float64) * resolution, speeds, scales)
+        speed_rpm, change_rpm = np.full(len(starts), np.nan), np.zeros(len(starts))
+    variables = {
+        "power": described(("channel", "frame", "frequency"), power, "see unit, squared", "tone power"),
+        "speed_change": described("frame", change_rpm, "min-1", "change of speed within the frame"),
+    }
+    if np.any(scales != 1.0):
+        variables["scale"] = described("channel", scales, "1", "power is that of the signal times this")
+    frequency = np.arange(power.shape[2], dtype=np.float64) * resolution
+    coords = unindexed(
+        **channel_coords(band),
+        frequency=described("frequency", frequency, "Hz", "frequency"),
+        speed=described("frame", speed_rpm, "min-1", "mean speed of the frame"),
+    )
+    frames = xr.Dataset(variables, coords=coords)
     frames.attrs = {key: band.attrs[key] for key in ("recording", "history", "quality") if key in band.attrs}
     frames.attrs |= {
         "window": plan.window.name,
@@ -134,7 +148,7 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
         "tone_weight": plan.tone_weights[0],
         "tone_neighbour_weight": plan.tone_weights[1],
         "tone_spacing_bins": plan.spacing,
-        "sweep_hz_per_order": float(np.nanmax(np.abs(speeds.change_rpm), initial=0.0)) / 60.0,
+        "sweep_hz_per_order": float(np.nanmax(np.abs(change_rpm), initial=0.0)) / 60.0,
     }
     return with_flags(frames, _sweep_flags(frames, settings))
 
@@ -172,31 +186,10 @@ def _window(settings: CampbellSettings, n_samples: int) -> Window:
 
 def _scales(signals: NDArray[np.floating]) -> Floats:
     """Power of two per channel that brings samples whose squares leave the range of their type near 1; else 1."""
-    scales = np.ones(len(signals))
-    fit = SQUARES_FIT.get(signals.dtype.char, SQUARES_FIT["d"])
-    for channel, row in enumerate(signals):
-        largest = max(float(row.max()), -float(row.min())) if len(row) else 0.0
-        if largest > 0.0 and not 1.0 / fit <= largest <= fit:
-            limit = 1000 if signals.dtype == np.float64 else 120
-            scales[channel] = 2.0 ** -min(max(math.frexp(largest)[1], -limit), limit)
-    return scales
-
-
-def _dataset(
-    band: xr.Dataset, power: NDArray[np.floating], frequency: Floats, speeds: FrameSpeeds, scales: Floats
-) -> xr.Dataset:
-    variables = {
-        "power": described(("channel", "frame", "frequency"), power, "see unit, squared", "tone power"),
-        "speed_change": described("frame", speeds.change_rpm, "min-1", "change of speed within the frame"),
-    }
-    if np.any(scales != 1.0):
-        variables["scale"] = described("channel", scales, "1", "power is that of the signal times this")
-    coords = unindexed(
-        **channel_coords(band),
-        frequency=described("frequency", frequency, "Hz", "frequency"),
-        speed=described("frame", speeds.mean_rpm, "min-1", "mean speed of the frame"),
-    )
-    return xr.Dataset(variables, coords=coords)
+    fit, limit = (1e8, 2.0**120) if signals.dtype == np.float32 else (1e100, 2.0**1000)
+    largest = power_of_two(signals).ravel()
+    fits = (1.0 / fit <= largest) & (largest <= fit)
+    return np.where(fits, 1.0, 1.0 / np.clip(largest, 1.0 / limit, limit))
 
 
 def _sweep_flags(frames: xr.Dataset, settings: CampbellSettings) -> list[QualityFlag]:

@@ -1,19 +1,384 @@
-"""Overall level of a recording, and what of it lies above the band that orders and map look at."""
+"""Levels of one recording: by pieces in stated bands and one-third octaves; overall, and what lies above the band.
+
+Sources: ISO 20816-1:2016 (broad-band root mean square velocity from 10 Hz to 1000 Hz); IEC 61260-1:2014 (base-ten
+mid-band frequencies of one-third octaves).
+"""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final, Literal
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
 
-from crankorder.campbell.frames import frame_speeds
-from crankorder.fft.transforms import FrameTransform
-from crankorder.fft.windows import window_named
+from crankorder.campbell.frames import piece_speeds, sample_rate_hz
+from crankorder.fft.plans import Plan, fft_library, forward, inverse
+from crankorder.fft.transforms import FrameTransform, band_gain, bridged, counted, derivative_gain, faded
+from crankorder.fft.windows import hann
 from crankorder.quantities import Floats, Ints, Variables, channel_coords, described
-from crankorder.settings import CampbellSettings, OrderSettings
+from crankorder.settings import DERIVATIVE, CampbellSettings, MethodNumbers, OrderSettings
+
+Kind = Literal["broad band", "broad band without its ends", "broad band with its ends", "one-third octave"]
+
+UNITS = {"acceleration": ("m/s2", 1.0), "velocity": ("mm/s", 1e-3), "displacement": ("µm", 1e-6)}
+"""Unit in which a level of each quantity is told that was made of another, and its size in SI units."""
+
+THIRD_OCTAVES_HZ = tuple(1000.0 * 10.0 ** (number / 10.0) for number in range(-20, 14))
+"""Exact mid-band frequencies of the one-third octaves from 10 Hz to 20 kHz (IEC 61260-1, base ten)."""
+
+_NOMINAL = (1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0)
+
+HALF_THIRD_OCTAVE = 10.0**0.05
+"""Upper end of a one-third octave over its middle."""
+
+_STRETCH = 1 << 21
+"""Samples that are transformed at once."""
+
+_WIDE_HZ = 100.0
+"""Width of a one-third octave above which a sample for each bandwidth will do: there are many in every piece."""
+
+_of_thread = threading.local()
+
+WITHOUT_ENDS: Final = "broad band without its ends"
+WITH_ENDS: Final = "broad band with its ends"
+
+
+NUMBERS = MethodNumbers("4-campbell-map.toml", "levels")
+
+
+@dataclass(frozen=True)
+class LevelBand:
+    """A band of frequency in which a level is told, and of which quantity; ``as measured``: that of the channel.
+
+    Half of the power passes at either end of a broad band. ``without its ends`` the filter opens inside the band, so
+    that nothing outside counts; ``with its ends`` it opens outside, so that all inside counts whole (of a sweep, at the
+    louder end of each window).
+    """
+
+    quantity: str
+    low_hz: float
+    high_hz: float
+    kind: Kind = "broad band"
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A band in one channel: quantity, unit (of ``si`` SI units), the factor to it after ``times`` derivatives, end."""
+
+    channel: int
+    band: LevelBand
+    quantity: str
+    unit: str
+    factor: float
+    times: int
+    high_hz: float
+    si: float
+
+    @property
+    def is_broad(self) -> bool:
+        """Whether it is no one-third octave."""
+        return self.band.kind != "one-third octave"
+
+    @property
+    def ends_hz(self) -> tuple[float, float]:
+        """Where half of the power passes."""
+        moved = 2.0 ** (NUMBERS.edge_octaves * {WITHOUT_ENDS: 1.0, WITH_ENDS: -1.0}.get(self.band.kind, 0.0))
+        return self.band.low_hz * moved, self.high_hz / moved
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Pieces of a recording that are looked at: first samples and length of each, and the rate in Hz."""
+
+    starts: Ints
+    length: int
+    rate_hz: float
+
+
+def nominal_hz(middle_hz: float) -> float:
+    """Frequency by which a one-third octave about ``middle_hz`` is called: 31.5 for 31.62 Hz."""
+    tens = math.floor(math.log10(middle_hz) + 1e-6)
+    return _NOMINAL[round(10.0 * (math.log10(middle_hz) - tens)) % 10] * 10.0**tens
+
+
+def third_octaves() -> tuple[LevelBand, ...]:
+    """The one-third octaves from 10 Hz to 20 kHz, of what was measured."""
+    half = HALF_THIRD_OCTAVE
+    return tuple(LevelBand("as measured", hz / half, hz * half, "one-third octave") for hz in THIRD_OCTAVES_HZ)
+
+
+def limit_bands(quantity: str, low_hz: float, high_hz: float) -> tuple[LevelBand, ...]:
+    """The bands that a limit on ``quantity`` from ``low_hz`` to ``high_hz`` is judged in.
+
+    As it is, without and with what lies at its ends.
+    """
+    kinds: tuple[Kind, ...] = ("broad band", WITHOUT_ENDS, WITH_ENDS)
+    return tuple(LevelBand(quantity, low_hz, high_hz, kind) for kind in kinds)
+
+
+def level_frames(recording: xr.Dataset, shaft: xr.Dataset, *, bands: Sequence[LevelBand], frame_s: float) -> xr.Dataset:
+    """LevelFrames of one recording: mean square (level, frame) and peak (level, frame) in each of ``bands``.
+
+    Parameters
+    ----------
+    recording : the full-band Recording; by crank angle it is taken as one at constant speed, without a speed it gives
+        no frames
+    shaft : its ShaftAngle
+    bands : bands and quantities; a level is one of them in one channel. One that a channel cannot give (the velocity
+        of a pressure) is left out; one that the rate does not reach ends at rate / 2.56 (``reached_hz``)
+    frame_s : length of the pieces in s; shorter ones are taken where the recording is short or the speed sweeps
+
+    The signal is filtered in one transform of the whole recording, integrated or differentiated where the quantity
+    asks for it, and the mean square of each piece is that of its samples: no window, no leakage. What lies within
+    some periods of the band of either end is left out. Pieces that touch an unusable sample are NaN.
+    """
+    rate = sample_rate_hz(recording)
+    levels = _levels(recording, bands, rate)
+    n_samples = recording.sizes[recording["signal"].dims[1]]
+    pieces = _pieces(n_samples, rate, levels, frame_s)
+    rpm = piece_speeds(recording, shaft, pieces.starts, pieces.length, pieces.rate_hz)
+    if len(rpm) > 1 and np.ptp(rpm) > NUMBERS.swept_share * rpm.mean():  # NaN is no sweep
+        pieces = _pieces(n_samples, rate, levels, 0.0)
+        rpm = piece_speeds(recording, shaft, pieces.starts, pieces.length, pieces.rate_hz)
+    square, peak = _squares_and_peaks(recording["signal"].values, pieces, levels)
+    names = recording["channel"].values.tolist()
+    keys: list[LevelKey] = [
+        (names[level.channel], level.unit, level.quantity, level.band.kind, level.band.low_hz, level.band.high_hz)
+        for level in levels
+    ]
+    coords = level_coords(keys, [level.high_hz for level in levels], [level.si for level in levels])
+    coords["speed"] = described("frame", rpm, "min-1", "mean speed of the piece")
+    of_pieces, dims = "of the piece in the band", ("level", "frame")
+    variables = {
+        "mean_square": described(dims, square, "see unit, squared", f"mean square {of_pieces}"),
+        "peak": described(dims, peak, "see unit", f"largest size {of_pieces}"),
+    }
+    attrs = {key: recording.attrs[key] for key in ("recording", "quality") if key in recording.attrs}
+    attrs["frame_s"] = pieces.length / pieces.rate_hz if pieces.length else math.nan
+    return xr.Dataset(variables, coords=coords, attrs=attrs)
+
+
+def _levels(recording: xr.Dataset, bands: Sequence[LevelBand], rate_hz: float) -> list[_Level]:
+    """The levels that the channels of ``recording`` can give."""
+    levels: list[_Level] = []
+    known = "si_per_unit" in recording.variables
+    size = recording["si_per_unit"].values if known else np.full(recording.sizes["channel"], np.nan)
+    measured, units = recording["quantity"].values.tolist(), recording["unit"].values.tolist()
+    for channel, (own, unit) in enumerate(zip(measured, units, strict=True)):
+        seen: set[tuple[str, float, float, str]] = set()
+        for band in bands:
+            wanted = own if band.quantity == "as measured" else band.quantity
+            reached = min(band.high_hz, rate_hz / NUMBERS.rate_over_band)
+            key = (wanted, band.low_hz, band.high_hz, band.kind)
+            if key in seen or not reached > band.low_hz or (band.kind == "one-third octave" and reached < band.high_hz):
+                continue
+            converted = wanted in DERIVATIVE and own in DERIVATIVE and math.isfinite(float(size[channel]))
+            if wanted != own and not converted:
+                continue
+            seen.add(key)
+            of_level, factor, times, si = unit, 1.0, 0, float(size[channel])
+            if wanted != own:
+                of_level, si = UNITS[wanted]
+                factor, times = float(size[channel]) / si, DERIVATIVE[wanted] - DERIVATIVE[own]
+            levels.append(_Level(channel, band, wanted, of_level, factor, times, reached, si))
+    return levels
+
+
+def _pieces(n_samples: int, rate_hz: float, levels: list[_Level], frame_s: float) -> _Pieces:
+    """Pieces of ``frame_s``, shorter in a short recording, between its ends; none where nothing can be told."""
+    broad = [level.band.low_hz for level in levels if level.is_broad]
+    none = _Pieces(np.empty(0, dtype=np.int64), 0, rate_hz)
+    if not broad or not math.isfinite(rate_hz):
+        return none
+    span, shortest = n_samples / rate_hz, NUMBERS.shortest_periods / min(broad)
+    margin = min(NUMBERS.ring_periods / min(broad), NUMBERS.most_ring_share * span)
+    usable = span - 2.0 * margin
+    if usable < shortest:
+        return none
+    length_s = max(shortest, min(frame_s, 0.25 * usable))
+    length, first = max(1, math.floor(length_s * rate_hz)), math.ceil(margin * rate_hz)
+    count = max(1, math.floor((n_samples - 2 * first) / length))
+    return _Pieces(first + length * np.arange(count, dtype=np.int64), min(length, n_samples), rate_hz)
+
+
+def _squares_and_peaks(signals: NDArray[Any], pieces: _Pieces, levels: list[_Level]) -> tuple[Floats, Floats]:
+    """Mean square and peak (levels, frames) of the ``signals`` (channels, samples), stretch by stretch."""
+    count = len(pieces.starts)
+    square, peak = np.full((2, len(levels), count), np.nan)
+    if not count:
+        return square, peak
+    lowest = min((level.band.low_hz for level in levels), default=math.inf)
+    margin = math.ceil(NUMBERS.ring_periods / lowest * pieces.rate_hz)
+    together = max(1, (_STRETCH - 2 * margin) // max(pieces.length, 1))
+    for begin in range(0, count, together):
+        mine = pieces.starts[begin : begin + together]
+        first = max(0, int(mine[0]) - margin) if begin else 0
+        last = int(mine[-1]) + pieces.length + margin if begin + together < count else signals.shape[1]
+        local = _Pieces(mine - first, pieces.length, pieces.rate_hz)
+        for channel, part in enumerate(signals[:, first:last]):
+            rows = [row for row, level in enumerate(levels) if level.channel == channel]
+            if rows:
+                values = _of_part(part, local, [levels[row] for row in rows], margin)
+                square[rows, begin : begin + len(mine)], peak[rows, begin : begin + len(mine)] = values
+    return square, peak
+
+
+def _of_part(part: Any, pieces: _Pieces, levels: list[_Level], margin: int) -> Floats:
+    """Mean square and peak (2, levels, frames) of a stretch of a channel, by one transform."""
+    mean = float(part.mean())
+    count = fft.next_fast_len(len(part) + margin, real=True)
+    spectrum = _spectrum(part, mean, pieces, count)
+    square, peak = both = np.full((2, len(levels), len(pieces.starts)), np.nan)
+    edges = (pieces.starts[:, None] + np.array([0, pieces.length])) / count
+    octaves = [row for row, level in enumerate(levels) if not level.is_broad]
+    if octaves:
+        power = _octave_power(spectrum, count, pieces.rate_hz, [levels[row] for row in octaves])
+        square[octaves] = _mean_squares(power, edges * power.shape[1])
+    for row, level in enumerate(levels):
+        if level.is_broad:
+            filtered = _filtered(spectrum, count, pieces.rate_hz, level)
+            square[row] = _mean_squares(filtered * filtered, edges * len(filtered))
+        if level.band.kind == "broad band":
+            ends = np.round(edges * len(filtered)).astype(np.int64)
+            peak[row] = np.maximum.reduceat(np.append(np.abs(filtered), 0.0), ends.ravel())[::2]
+    width = np.array([level.high_hz - level.band.low_hz for level in levels])
+    span_s = len(pieces.starts) * pieces.length / pieces.rate_hz
+    square[width * span_s < NUMBERS.fewest_bandwidths] = np.nan
+    if not math.isfinite(mean):  # a piece that holds a missing sample tells nothing
+        missing = counted(~np.isfinite(part)[None], pieces.starts, pieces.starts + pieces.length)[0]
+        both[:, :, missing > 0] = np.nan
+    return both
+
+
+def _spectrum(part: Any, mean: float, pieces: _Pieces, count: int) -> NDArray[np.complexfloating]:
+    """Spectrum of ``part`` less its ``mean`` with zeros behind it, ``count`` samples, faded beside the ``pieces``.
+
+    Gaps are bridged. It holds until the next one is made: its plan owns it.
+    """
+    plan = _plan(forward, (count,), np.float32 if part.dtype == np.float32 else np.float64)
+    filled, rest = plan.input_array[: len(part)], plan.input_array[len(part) :]
+    if math.isfinite(mean):
+        np.subtract(part, mean, out=filled)
+    else:
+        filled[:] = bridged(part)
+    rest[:] = 0.0
+    before, behind = int(pieces.starts[0]), max(0, len(part) - int(pieces.starts[-1]) - pieces.length)
+    fade = _fade(before + behind, before, behind)
+    filled[:before] *= fade[:before]
+    filled[len(part) - behind :] *= fade[before:]
+    plan.execute()
+    return plan.output_array
+
+
+def _plan(way: Callable[..., Plan], shape: tuple[int, ...], kind: Any) -> Plan:
+    """The plan of this thread for transforms that ``way``; it keeps the last one of each."""
+    kept: dict[Any, tuple[Any, Plan]] = _of_thread.__dict__
+    key = (shape, kind, fft_library())
+    if way not in kept or kept[way][0] != key:
+        kept[way] = key, way(shape, kind)
+    return kept[way][1]
+
+
+_fade = lru_cache(maxsize=2)(faded)
+
+
+def _band(whole: int, rate_hz: float, level: _Level, dtype: np.dtype[Any], scale: float) -> tuple[slice, NDArray[Any]]:
+    """Bins and their gains, times ``scale``, of the band of ``level`` in a spectrum of ``whole`` samples."""
+    half, (low_hz, high_hz) = NUMBERS.edge_octaves, level.ends_hz
+    low = max(1, math.floor(low_hz * 2.0**-half / rate_hz * whole))
+    last = min(whole // 2, math.ceil(high_hz * 2.0**half / rate_hz * whole)) + 1
+    return slice(low, last), _gain(low, last, rate_hz / whole, level.ends_hz, scale * level.factor, level.times, dtype)
+
+
+@lru_cache(maxsize=128)
+def _gain(
+    first: int, last: int, step_hz: float, ends_hz: tuple[float, float], factor: float, times: int, dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    """Gain of a band at the bins from ``first`` to before ``last``, ``step_hz`` apart, times ``factor``.
+
+    It is complex (bins,) where the level is an integral or a derivative, else one for each real and each imaginary part
+    (2 bins,); in single precision for spectra of such ``dtype``.
+    """
+    frequency: Floats = np.arange(first, last, dtype=np.float64) * step_hz
+    gain = band_gain(frequency, *ends_hz, half_octaves=NUMBERS.edge_octaves) * factor
+    made = gain * derivative_gain(frequency, times) if times else np.repeat(gain, 2)
+    return made.astype(dtype if times else dtype.char.lower())
+
+
+def _filtered(spectrum: NDArray[np.complexfloating], whole: int, rate_hz: float, level: _Level) -> NDArray[Any]:
+    """The signal in the broad band of ``level`` at a lower rate, from the ``spectrum`` of its ``whole`` samples."""
+    bins, gain = _band(whole, rate_hz, level, spectrum.dtype, 1.0 / whole)
+    n_out = fft.next_fast_len(max(2 * bins.stop, math.ceil(NUMBERS.oversampling * (bins.stop - 1))), real=True)
+    made = np.zeros(n_out // 2 + 1, dtype=spectrum.dtype)
+    np.multiply(spectrum[bins].view(gain.dtype), gain, out=made[bins].view(gain.dtype))
+    return np.asarray(fft.irfft(made, n_out, overwrite_x=True, norm="forward"))
+
+
+def _octave_power(
+    spectrum: NDArray[np.complexfloating], whole: int, rate_hz: float, levels: list[_Level]
+) -> NDArray[Any]:
+    """Power (levels, times) of one-third octaves over time, from the ``spectrum`` of ``whole`` samples.
+
+    It is that of the complex envelope at one rate for all; of a wide octave the sum of bands side by side that fill
+    this rate.
+    """
+    size = 1 << math.ceil(math.log2(2.0 * _WIDE_HZ / rate_hz * whole))
+    plan = _plan(inverse, (size,), spectrum.dtype)
+    filled, parts = (array.view(spectrum.real.dtype) for array in (plan.input_array, plan.output_array))
+    power = np.zeros((len(levels), 2 * size), dtype=parts.dtype)
+    for into, level in zip(power, levels, strict=True):
+        bins, gain = _band(whole, rate_hz, level, spectrum.dtype, math.sqrt(2.0) / whole)
+        for begin in range(0, len(gain), 2 * size):
+            inside = gain[begin : begin + 2 * size]
+            np.multiply(spectrum[bins].view(gain.dtype)[begin : begin + 2 * size], inside, out=filled[: len(inside)])
+            filled[len(inside) :] = 0.0
+            plan.execute()
+            np.multiply(parts, parts, out=parts)
+            into += parts
+    return np.asarray(power[:, ::2] + power[:, 1::2])
+
+
+def _mean_squares(power: NDArray[Any], edges: Floats) -> Floats:
+    """Mean (..., frames) of ``power`` (..., times) between the fractional ``edges`` (frames, 2)."""
+    at = np.clip(edges, 0.0, power.shape[-1])
+    whole = at.astype(np.int64)
+    padded = np.concatenate([power, np.zeros((*power.shape[:-1], 1), dtype=power.dtype)], axis=-1)
+    sums = np.add.reduceat(padded, whole.ravel(), axis=-1, dtype=np.float64)[..., ::2]
+    sums = np.where(whole[:, 1] > whole[:, 0], sums, 0.0)
+    parts = (at - whole) * padded[..., whole]
+    return np.asarray((sums + parts[..., 1] - parts[..., 0]) / (at[:, 1] - at[:, 0]))
+
+
+LevelKey = tuple[str, str, str, str, float, float]
+"""Channel, unit, quantity, kind and both ends of the band in Hz of a level."""
+
+LEVEL_COLUMNS = {
+    "channel": ("1", "name of the channel"),
+    "unit": ("1", "unit of the level"),
+    "quantity": ("1", "what the level is of"),
+    "kind": ("1", "broad band (for a limit also without and with its ends) or one-third octave"),
+    "low_frequency": ("Hz", "lower end of the band"),
+    "high_frequency": ("Hz", "upper end of the band"),
+    "reached_frequency": ("Hz", "where the band ends as the rate allows"),
+    "si_per_unit": ("1", "SI units in one unit of the level"),
+}
+
+
+def level_coords(keys: Sequence[LevelKey], reached_hz: ArrayLike, si: ArrayLike) -> Variables:
+    """Coordinates of the levels of these ``keys``, which end at ``reached_hz``, in units of ``si`` SI units."""
+    columns = [*([key[place] for key in keys] for place in range(6)), reached_hz, si]
+    return {
+        name: described("level", np.array(column, dtype=np.str_ if place < 4 else np.float64), unit, text)
+        for place, (column, (name, (unit, text))) in enumerate(zip(columns, LEVEL_COLUMNS.items(), strict=True))
+    }
+
 
 PIECES, LENGTH = 12, 8192
 """Pieces of a recording that are looked at, and samples of each: a look, not an analysis, so that it costs little."""
@@ -48,17 +413,8 @@ TRIED = 20
 """Highest peaks that are looked at."""
 
 
-class Peak(NamedTuple):
-    """The strongest line above the band: peak amplitude, frequency and the band's end there [Hz], order, speed [rpm].
-
-    NaN is what is not known.
-    """
-
-    amplitude: float = 0.0
-    frequency_hz: float = math.nan
-    band_hz: float = math.nan
-    order: float = math.nan
-    speed_rpm: float = math.nan
+NO_LINE = (0.0, math.nan, math.nan, math.nan, math.nan)
+"""No line above the band; else its peak amplitude, frequency and end of the band there [Hz], order, speed [rpm]."""
 
 
 def recording_levels(
@@ -75,15 +431,16 @@ def recording_levels(
     samples count for nothing; where there is none, all is NaN.
     """
     signals = recording["signal"]
-    by_angle = recording.attrs["domain"] == "crank_angle"
     n_samples = signals.shape[1]
     length = min(LENGTH, n_samples)
     count = PIECES if length > 2 * BLOCK else 0
     starts = np.unique(np.linspace(0, n_samples - length, count).astype(np.int64))
-    rate, rpm = _rate_and_speeds(recording, shaft, starts, length)
+    rate = sample_rate_hz(recording)
+    rpm = piece_speeds(recording, shaft, starts, length, rate)
+    per_rev = not rate > 0.0  # by crank angle without a speed
+    rate = float(recording.attrs["samples_per_rev"]) if per_rev else rate
     power = _power(signals.values, starts, length)
     bins = np.arange(power.shape[2], dtype=np.float64) * (rate / max(length, 1))
-    per_rev = bool(by_angle and not np.isfinite(rpm).any())
     # where the band ends in each piece: in Hz, or in orders where the samples are per revolution
     limit = np.maximum(np.nan_to_num(orders.max_order * rpm / 60.0), campbell.max_frequency_hz)
     if per_rev:
@@ -100,24 +457,11 @@ def recording_levels(
     return _dataset(recording, mean, share, peaks, rate, end)
 
 
-def _rate_and_speeds(recording: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int) -> tuple[float, Floats]:
-    """Samples per second (per revolution by crank angle without a speed) and the speed of each piece, NaN unknown."""
-    if recording.attrs["domain"] == "crank_angle":
-        per_rev, speed = float(recording.attrs["samples_per_rev"]), float(recording.attrs.get("speed_rpm", math.nan))
-        known = math.isfinite(speed) and speed > 0.0
-        return per_rev * speed / 60.0 if known else per_rev, np.full(len(starts), speed if known else math.nan)
-    rate = float(recording.attrs["rate_hz"])
-    if not shaft.attrs.get("has_shaft", 1) or not shaft["time"].size or not len(starts):
-        return rate, np.full(len(starts), np.nan)
-    rpm = frame_speeds(recording, shaft, starts, length, rate).mean_rpm
-    return rate, np.where(rpm > 0.0, rpm, np.nan)
-
-
 def _power(signals: NDArray[np.floating], starts: Ints, length: int) -> Floats:
     """Mean square (pieces, channels, bins) of the signals in each bin, without the mean of each piece."""
     if not len(starts):
         return np.full((0, len(signals), 1), np.nan)
-    transform = FrameTransform(window_named("hann", length))
+    transform = FrameTransform(hann(length))
     pieces = np.stack([signals[:, start : start + length] for start in starts], axis=1)
     with np.errstate(invalid="ignore"):
         pieces = pieces - pieces.mean(axis=2, keepdims=True, dtype=np.float64).astype(pieces.dtype)
@@ -129,10 +473,10 @@ def _power(signals: NDArray[np.floating], starts: Ints, length: int) -> Floats:
     return made.swapaxes(0, 1)
 
 
-def _strongest(power: Floats, bins: Floats, limit: Floats, rpm: Floats, *, per_rev: bool) -> Peak:
+def _strongest(power: Floats, bins: Floats, limit: Floats, rpm: Floats, *, per_rev: bool) -> tuple[float, ...]:
     """The strongest line of a channel's ``power`` (pieces, bins) above the ``limit`` (pieces,) of each piece."""
     if power.shape[1] < BLOCK or not len(power):
-        return Peak()
+        return NO_LINE
     at = _sharp(power, bins, limit)
     lobe = _lobe(power, *at.T)
     for piece, place in at[np.argsort(-lobe)][:TRIED].tolist():
@@ -143,8 +487,8 @@ def _strongest(power: Floats, bins: Floats, limit: Floats, rpm: Floats, *, per_r
             hertz, order = (math.nan, value) if per_rev else (value, 60.0 * value / speed)
             band = math.nan if per_rev else float(limit[piece])
             size = math.sqrt(2.0 * float(_lobe(power, np.array(piece), np.array(place))))
-            return Peak(size, hertz, band, order, speed)
-    return Peak()
+            return size, hertz, band, order, speed
+    return NO_LINE
 
 
 def _sharp(power: Floats, bins: Floats, limit: Floats) -> Ints:
@@ -221,22 +565,20 @@ def _floors(mean: Floats, blocks: int) -> Floats:
 
 
 def _dataset(
-    recording: xr.Dataset, mean: Floats, share: Floats, peaks: list[Peak], rate: float, band_hz: float
+    recording: xr.Dataset, mean: Floats, share: Floats, peaks: list[tuple[float, ...]], rate: float, band_hz: float
 ) -> xr.Dataset:
-    lines = np.array(peaks, dtype=np.float64).reshape(len(mean), len(Peak._fields))
-    floor = _floors(mean, 1)[:, 0]
-    of_channels = (
-        ("rms", np.sqrt(mean.sum(axis=1)), "see unit", "root mean square without the mean"),
-        ("floor", floor, "see unit", "root of the middling bin of the power spectrum, which lines do not raise"),
-        ("share_above", share, "1", "share of the mean square above the band looked at"),
-        ("peak_above", lines[:, 0], "see unit", "peak amplitude of the strongest line above the band; 0 for none"),
-        ("peak_frequency", lines[:, 1], "Hz", "its frequency"),
-        ("peak_band", lines[:, 2], "Hz", "where the band ended at that speed"),
-        ("peak_order", lines[:, 3], "1", "its order"),
-        ("peak_speed", lines[:, 4], "min-1", "the speed there"),
-    )
+    size, hertz, band, order, speed = np.array(peaks, dtype=np.float64).reshape(len(mean), len(NO_LINE)).T
+    middling = "root of the middling bin of the power spectrum, which lines do not raise"
+    strongest = "peak amplitude of the strongest line above the band; 0 for none"
     variables: Variables = {
-        name: described("channel", values, units, text) for name, values, units, text in of_channels
+        "rms": described("channel", np.sqrt(mean.sum(axis=1)), "see unit", "root mean square without the mean"),
+        "floor": described("channel", _floors(mean, 1)[:, 0], "see unit", middling),
+        "share_above": described("channel", share, "1", "share of the mean square above the band looked at"),
+        "peak_above": described("channel", size, "see unit", strongest),
+        "peak_frequency": described("channel", hertz, "Hz", "its frequency"),
+        "peak_band": described("channel", band, "Hz", "where the band ended at that speed"),
+        "peak_order": described("channel", order, "1", "its order"),
+        "peak_speed": described("channel", speed, "min-1", "the speed there"),
     }
     words = "root of the middling bin of each block of the power spectrum"
     variables["block_floor"] = described(("channel", "block"), _floors(mean, FLOOR_BLOCKS), "see unit", words)

@@ -20,7 +20,7 @@ from crankorder.quantities import (
     with_flags,
 )
 from crankorder.settings import MethodNumbers
-from crankorder.shaft.speed_groups import speed_groups
+from crankorder.shaft.speeds import speed_groups
 
 NUMBERS = MethodNumbers("4-campbell-map.toml", "map")
 

@@ -14,18 +14,15 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
-from crankorder.campbell.band_levels import LEVEL_WORDS, WITH_ENDS, LevelKey, level_coords
+from crankorder.campbell.levels import LEVEL_COLUMNS, WITH_ENDS, LevelKey, level_coords
 from crankorder.quantities import Floats, Ints, QualityFlag, Variables, described, flags_of, with_flags
 from crankorder.settings import MethodNumbers
-from crankorder.shaft.speed_groups import held_speeds
+from crankorder.shaft.speeds import held_speeds
 
 CONFIDENCE = 0.95
 
 
 NUMBERS = MethodNumbers("4-campbell-map.toml", "levels_of_test")
-
-
-_COLUMNS = (*LEVEL_WORDS, "low_frequency", "high_frequency", "reached_frequency", "si_per_unit")
 
 
 class _Group(NamedTuple):
@@ -59,7 +56,16 @@ def vibration_levels(items: Sequence[xr.Dataset], *, speed_bin_rpm: float) -> xr
             _tell(made, rows, column, joined.square[at], joined.peak[at], group.passage[pieces])
     _tell_sweeps(made, joined, groups)
     _allow_leaks(made, joined.keys)
-    result = _levels_dataset(joined, made, np.array([joined.rpm[group.pieces].mean() for group in groups]))
+    coords = level_coords(joined.keys, joined.reached_hz, joined.si)
+    rpm = np.array([joined.rpm[group.pieces].mean() for group in groups])
+    coords["speed"] = described("speed", rpm, "min-1", "mean speed")
+    variables: Variables = {}
+    for name, (units, text) in _TOLD.items():
+        variables[name] = described(("level", "speed"), made[name], units, text)
+        if (interval := f"{name}_ci95") in made:
+            text = f"95 % interval of {name}: low, high"
+            variables[interval] = described(("level", "speed", "bound"), made[interval], units, text)
+    result = xr.Dataset(variables, coords=coords)
     result.attrs = {"frame_s": min(joined.frame_s, default=math.nan), "speed_bin_rpm": speed_bin_rpm}
     return with_flags(result, joined.flags)
 
@@ -89,7 +95,7 @@ def _joined(items: Sequence[xr.Dataset]) -> _Joined:
     ends, of_items = dict[LevelKey, tuple[float, float]](), list[tuple[Ints, Floats, Floats, Floats]]()
     number, frame_s, flags = dict[LevelKey, int](), list[float](), list[QualityFlag]()
     for item in items:
-        *parts, reached, si = (item.variables[name].values.tolist() for name in _COLUMNS)
+        *parts, reached, si = (item.variables[name].values.tolist() for name in LEVEL_COLUMNS)
         for key, hertz, size in zip(zip(*parts, strict=True), reached, si, strict=True):
             ends[key] = min(hertz, ends.get(key, (math.inf,))[0]), size
         rows = np.array([number.setdefault(key, len(number)) for key in zip(*parts, strict=True)], dtype=np.int64)
@@ -308,15 +314,3 @@ _TOLD = {
     "log_error": ("1", "standard error of the logarithm of the mean square"),
     "degrees_of_freedom": ("1", "degrees of freedom of log_error; 0 where it is not known"),
 }
-
-
-def _levels_dataset(joined: _Joined, made: dict[str, Floats], rpm: Floats) -> xr.Dataset:
-    coords = level_coords(joined.keys, joined.reached_hz, joined.si)
-    coords["speed"] = described("speed", rpm, "min-1", "mean speed")
-    variables: Variables = {}
-    for name, (units, text) in _TOLD.items():
-        variables[name] = described(("level", "speed"), made[name], units, text)
-        if (interval := f"{name}_ci95") in made:
-            text = f"95 % interval of {name}: low, high"
-            variables[interval] = described(("level", "speed", "bound"), made[interval], units, text)
-    return xr.Dataset(variables, coords=coords)

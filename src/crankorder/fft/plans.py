@@ -68,11 +68,9 @@ def _planned(shape: tuple[int, ...], kind: Any, out_shape: tuple[int, ...], out_
     import pyfftw
 
     into, out = pyfftw.zeros_aligned(shape, dtype=kind), pyfftw.zeros_aligned(out_shape, dtype=out_kind)
-    if way == "forward":
-        plan: Plan = pyfftw.FFTW(into, out, axes=(-1,), flags=("FFTW_ESTIMATE",))
-    else:
-        flags = ("FFTW_ESTIMATE", "FFTW_DESTROY_INPUT")
-        plan = pyfftw.FFTW(into, out, axes=(-1,), direction="FFTW_BACKWARD", flags=flags)
+    flags = ("FFTW_ESTIMATE",) if way == "forward" else ("FFTW_ESTIMATE", "FFTW_DESTROY_INPUT")
+    direction = "FFTW_FORWARD" if way == "forward" else "FFTW_BACKWARD"
+    plan: Plan = pyfftw.FFTW(into, out, axes=(-1,), direction=direction, flags=flags)
     return plan
 
 

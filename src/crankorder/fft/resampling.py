@@ -19,9 +19,6 @@ from crankorder.errors import RequestError
 from crankorder.quantities import Floats, Ints
 from crankorder.scratch import blocks, empty_like
 
-MOST_TAPS = 512
-"""Longest kernel that is offered: content up to 0.98 of the Nyquist frequency within 1e-7."""
-
 ROUNDING_FLOOR = 1e-13
 """Error below which a finer table gains nothing: positions are rounded more coarsely than that."""
 
@@ -135,8 +132,9 @@ TAPS = 48
 PASS_BAND = 0.4
 """Share of the sample rate up to which that kernel reproduces content: within 2e-7."""
 
-LENGTHS = (8, 16, 24, 32, 40, 48, 56, 64, 80, 96, 128, 160, 192, 256, 384, MOST_TAPS)
-"""Lengths that :func:`cheapest_kernel` chooses from; every even one from 4 to 512 exists."""
+LENGTHS = (8, 16, 24, 32, 40, 48, 56, 64, 80, 96, 128, 160, 192, 256, 384, 512)
+"""Lengths that :func:`cheapest_kernel` chooses from; the longest passes content up to 0.98 of the Nyquist frequency
+within 1e-7. Every even one from 4 to 512 exists."""
 
 FEWEST_SHARE = 0.5
 """A kernel needs more than this share of the length that Kaiser (1974) gives for a windowed sinc."""
@@ -294,18 +292,12 @@ def _samples(signals: Signals) -> Signals:
 
 def _refuse(places: Floats, bad: int, low: float, high: float) -> None:
     """Raises RequestError: the position numbered ``bad`` lies outside ``low``…``high``."""
-    found = f"{places[bad]:.6g} at number {bad}"
+    problem = f"positions must lie in {low:g}…{high:g}, for a value needs its neighbours"
+    remedy = "Leave the kernel's margin at both ends, or use a shorter kernel."
     if high < low:
-        raise RequestError(
-            "positions must lie in the record, with neighbours at both ends, and it is too short for any",
-            found=found,
-            remedy="Use a shorter kernel, or a longer record.",
-        )
-    raise RequestError(
-        f"positions must lie in {low:g}…{high:g}, for a value needs its neighbours",
-        found=found,
-        remedy="Leave the kernel's margin at both ends, or use a shorter kernel.",
-    )
+        problem = "positions must lie in the record, with neighbours at both ends, and it is too short for any"
+        remedy = "Use a shorter kernel, or a longer record."
+    raise RequestError(problem, found=f"{places[bad]:.6g} at number {bad}", remedy=remedy)
 
 
 @lru_cache(maxsize=2)

@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 
 from crankorder.quantities import Floats
 
-BLACKMAN_HARRIS = (0.35875, 0.48829, 0.14128, 0.01168)
-"""Four-term window with side lobes below -92 dB (Harris 1978, table 1)."""
+TERMS = {
+    "hann": (0.5, 0.5),
+    "blackman-harris": (0.35875, 0.48829, 0.14128, 0.01168),
+    "flat-top": (1.0, 1.96760033, 1.57983607, 0.81123644, 0.22583558, 0.02773848, 0.00090360),
+    "rectangular": (1.0,),
+}
+"""Windows that are sums of cosines with alternating signs.
 
-FLAT_TOP = (1.0, 1.96760033, 1.57983607, 0.81123644, 0.22583558, 0.02773848, 0.00090360)
-"""HFT144D of Heinzel, Rüdiger and Schilling (2002, appendix D): flat within 0.0021 dB, side lobes below -144 dB."""
-
-NAMES = ("hann", "flat-top", "blackman-harris", "kaiser", "rectangular")
+Blackman-Harris: side lobes below -92 dB (Harris 1978, table 1). Flat-top: HFT144D of Heinzel, Rüdiger and Schilling
+(2002, appendix D), flat within 0.0021 dB, side lobes below -144 dB.
+"""
 
 WIDEST_LOBE_BINS = 16
 """Half width of main lobes that are looked at: a Kaiser window of beta 45 has one as wide."""
@@ -85,50 +89,28 @@ class Window:
         return n_frames / factor
 
 
-def _cosines(name: str, n_samples: int, terms: tuple[float, ...]) -> Window:
-    """Periodic sum of cosines with alternating signs; its largest value is 1."""
-    phase = 2.0 * np.pi * np.arange(n_samples) / n_samples
-    values = sum((-1) ** k * term * np.cos(k * phase) for k, term in enumerate(terms))
-    return Window(name, np.asarray(values / sum(terms)))
-
-
 def hann(n_samples: int) -> Window:
     """Periodic Hann window of ``n_samples``: a tone on a bin reaches only its two neighbours."""
-    return Window("hann", 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(n_samples) / n_samples))
-
-
-def flat_top(n_samples: int) -> Window:
-    """Periodic flat-top window of ``n_samples`` (HFT144D): a tone reads its amplitude wherever it lies."""
-    return _cosines("flat-top", n_samples, FLAT_TOP)
-
-
-def blackman_harris(n_samples: int) -> Window:
-    """Periodic four-term Blackman-Harris window of ``n_samples``: side lobes below -92 dB."""
-    return _cosines("blackman-harris", n_samples, BLACKMAN_HARRIS)
-
-
-def kaiser(n_samples: int, beta: float) -> Window:
-    """Periodic Kaiser window of ``n_samples`` (Kaiser 1974): ``beta`` lowers the side lobes."""
-    return Window("kaiser", np.kaiser(n_samples + 1, beta)[:-1])
-
-
-def rectangular(n_samples: int) -> Window:
-    """Window of ones of ``n_samples``: narrow, but a tone between two bins reads 3.9 dB low and leaks everywhere."""
-    return Window("rectangular", np.ones(n_samples))
+    return _cosines("hann", n_samples)
 
 
 @lru_cache(maxsize=32)
 def window_named(name: str, n_samples: int, *, kaiser_beta: float = 14.0) -> Window:
-    """Window ``name`` (one of NAMES) of ``n_samples``; ``kaiser_beta`` is the parameter of ``kaiser``.
+    """Periodic window ``name`` of ``n_samples``, one of TERMS or ``kaiser`` (Kaiser 1974), whose largest value is 1.
 
-    Raises ValueError for another name.
+    ``kaiser_beta`` lowers the side lobes of ``kaiser``. Raises ValueError for another name.
     """
     if name == "kaiser":
-        return kaiser(n_samples, kaiser_beta)
-    made = {"hann": hann, "flat-top": flat_top, "blackman-harris": blackman_harris, "rectangular": rectangular}
-    if name not in made:
-        raise ValueError(f"no window is called {name!r}: {', '.join(NAMES)}")
-    return made[name](n_samples)
+        return Window("kaiser", np.kaiser(n_samples + 1, kaiser_beta)[:-1])
+    if name not in TERMS:
+        raise ValueError(f"no window is called {name!r}: {', '.join([*TERMS, 'kaiser'])}")
+    return _cosines(name, n_samples)
+
+
+def _cosines(name: str, n_samples: int) -> Window:
+    phase = 2.0 * np.pi * np.arange(n_samples) / n_samples
+    values = sum((-1) ** k * term * np.cos(k * phase) for k, term in enumerate(TERMS[name]))
+    return Window(name, np.asarray(values / sum(TERMS[name])))
 
 
 def power_of_two(values: NDArray[Any]) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.campbell.band_levels import UNITS, WITH_ENDS, WITHOUT_ENDS, nominal_hz
+from crankorder.campbell.levels import UNITS, WITH_ENDS, WITHOUT_ENDS, nominal_hz
 from crankorder.campbell.vibration_levels import CONFIDENCE, rms_within
 from crankorder.findings import Balance, Level, LimitVerdict, ThirdOctave, VibrationLevel
 from crankorder.identify.machine_model import Limit, MachineModel

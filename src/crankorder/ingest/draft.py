@@ -32,9 +32,8 @@ from crankorder.ingest.sampling import read_time_column, rows_before_zeros
 from crankorder.quantities import Floats
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
-from crankorder.shaft.position import COUNTER_BITS
-from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.summary import speed_in_name
+from crankorder.shaft.pulses import COUNTER_BITS, find_pulses
+from crankorder.shaft.speeds import speed_in_name
 from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
 MOTOR = (

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError
-from crankorder.fft.integration import faded_samples, integrated
+from crankorder.fft.transforms import faded_samples, integrated
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, check_bands, file_to_analysed
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS
 from crankorder.ingest.folder import check_regular

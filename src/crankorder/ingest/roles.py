@@ -25,7 +25,7 @@ from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings, load_settings
-from crankorder.shaft.position import wrap_seen
+from crankorder.shaft.pulses import wrap_seen
 
 Role = Literal["time", "angle", "encoder", "index", "cam", "speed", "constant", "channel", "unused"]
 

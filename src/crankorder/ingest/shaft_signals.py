@@ -22,8 +22,7 @@ from crankorder.ingest.sampling import ENCODER, TimeBase, TimeColumn, rows_befor
 from crankorder.ingest.units import conversion_factor, known_unit, unit_in_label, unit_of
 from crankorder.quantities import Attribute, Floats, QualityFlag, Severity
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.position import position_pulses
-from crankorder.shaft.pulses import NoPulsesError, Remark, find_pulses
+from crankorder.shaft.pulses import NoPulsesError, Remark, find_pulses, position_pulses
 
 # Pulse times that are told more finely than this are as good as those of a counter.
 _FINE_STEP_S = 1e-6

@@ -26,7 +26,7 @@ from crankorder.quantities import (
     with_flags,
 )
 from crankorder.settings import OrderSettings
-from crankorder.shaft.speed_groups import speed_groups
+from crankorder.shaft.speeds import speed_groups
 
 FADED_AT = 2.0
 """Orders up to max_order pass whole, those above fade until this multiple of it: a waveform does not ring."""

@@ -49,7 +49,7 @@ from crankorder.quantities import (
 )
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, time_at
-from crankorder.shaft.speed_groups import speed_groups
+from crankorder.shaft.speeds import speed_groups
 
 LEAST_REVS = 8
 """Revolutions of a frame below which no envelope spectrum is made: bearing lines could not be told from each other."""

@@ -22,7 +22,7 @@ from crankorder.orders.averages import (
 )
 from crankorder.orders.intervals import beyond_chance
 from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, remark, with_flags
-from crankorder.shaft.speed_groups import Indices, held_speeds, speed_groups
+from crankorder.shaft.speeds import Indices, held_speeds, speed_groups
 
 LEAST_WINDOW = 0.1
 """Sum of the windows at an angle below which the signal is not regained there: its noise would be ten times as high."""

@@ -30,7 +30,8 @@ from crankorder.quantities import Attribute, Complexes, Floats, Ints, QualityFla
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of
 from crankorder.shaft.audit import reference_of
-from crankorder.shaft.tooth_errors import TOOTH_KEPT, TOOTH_LEVEL, TOOTH_ORDER, TOOTH_PRINT, same_wheel, swing_of_cycles
+from crankorder.shaft.speeds import swing_of_cycles
+from crankorder.shaft.tooth_errors import TOOTH_KEPT, TOOTH_LEVEL, TOOTH_ORDER, TOOTH_PRINT, same_wheel
 
 ERROR, OF_ONE_REV = "angle_error_rev", "angle_error_of_one_rev_rev"
 """Attributes of frames: standard error [rev] of the crank angle, and of its mean over a revolution."""

@@ -462,14 +462,12 @@ def integrated_speed(
     ------
     InputError where the shaft does not turn through two such lengths or more than half of the samples are not finite.
     """
-    flags: list[Remark] = []
-    speed = np.asarray(speed_rpm, dtype=np.float64)
+    flags, speed = list[Remark](), np.asarray(speed_rpm, dtype=np.float64)
     finite = np.isfinite(speed)
     n_bad = int(speed.size - finite.sum())
     if 2 * n_bad >= speed.size:
-        raise InputError(
-            "the speed signal is not finite", found=f"{n_bad} of {speed.size} samples", allowed="fewer than half"
-        )
+        found = f"{n_bad} of {speed.size} samples"
+        raise InputError("the speed signal is not finite", found=found, allowed="fewer than half")
     if n_bad:
         flags.append(("speed_gap", "suspect", f"{n_bad} of {speed.size} speed samples are not finite and were bridged"))
         at = np.arange(speed.size)
@@ -477,9 +475,8 @@ def integrated_speed(
     bend = np.diff(speed, n=2)
     noise_rpm = float(np.sqrt(np.mean(bend**2) / 6.0)) if bend.size else 0.0
     backward = speed < -NOISE_SIGMAS * noise_rpm
-    n_backward = int(backward.sum())
-    if n_backward:
-        detail = f"{n_backward} of {speed.size} speed samples are below 0, taken as 0"
+    if backward.any():
+        detail = f"{backward.sum()} of {speed.size} speed samples are below 0, taken as 0"
         flags.append(("speed_negative", "suspect", detail))
         speed = np.where(backward, 0.0, speed)
     revs_per_s = speed / 60.0

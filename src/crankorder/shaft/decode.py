@@ -5,25 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError, located
-from crankorder.quantities import Attribute, Floats, QualityFlag, ShaftAngle, check_dataset, with_flags
+from crankorder.quantities import (
+    Attribute,
+    Floats,
+    QualityFlag,
+    ShaftAngle,
+    Variables,
+    check_dataset,
+    described,
+    with_flags,
+)
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.angle import AngleKnots, angle_knots, integrated_speed
-from crankorder.shaft.pulses import Remark
-from crankorder.shaft.repair import FEW_PULSES, listed_times, running_parts
-from crankorder.shaft.standstill import ShaftRun, joined
-from crankorder.shaft.tooth_errors import stated_teeth, swing_remarks, tooth_errors, tooth_remark, without_tooth_errors
-from crankorder.shaft.uneven_wheel import wheel_of
+from crankorder.shaft.angle import AngleKnots, angle_at, angle_knots, integrated_speed
+from crankorder.shaft.pulses import Remark, listed_times
+from crankorder.shaft.repair import FEW_PULSES, running_parts
+from crankorder.shaft.speeds import swing_remarks
+from crankorder.shaft.tooth_errors import stated_teeth, tooth_errors, tooth_remark, without_tooth_errors
+from crankorder.shaft.uneven_wheel import Wheel
 from crankorder.shaft.wheel import (
     MOST_NOISE_TEETH,
     NumberedTeeth,
-    StatedWheel,
-    mark_flags,
     number_teeth,
     stated_wheel,
     times_of,
@@ -40,19 +47,10 @@ LEAD_SHARE = 0.25
 MISSED_TDC_REV = 0.1
 
 
-@dataclass(frozen=True)
-class CamMark:
-    """Place [rev] of the cam mark in the cycle of two crank revolutions, on the scale of the places that were given.
+def cam_mark(place_rev: Floats, time_s: Floats) -> tuple[float, list[Remark]]:
+    """Place [rev] of the cam mark in the cycle of two crank revolutions, by the majority of the cycles, and remarks.
 
-    NaN where the marks do not tell it; ``flags`` say why, and which marks are lost or extra.
-    """
-
-    place_rev: float
-    flags: list[Remark]
-
-
-def cam_mark(place_rev: Floats, time_s: Floats) -> CamMark:
-    """The place of the one mark per cycle of a camshaft, by the majority of the cycles.
+    NaN where the marks do not tell it; the remarks say why, and which marks are lost or extra.
 
     ``place_rev``: (marks,), crank angle of the marks in revolutions, NaN where it is not known. ``time_s``: (marks,),
     s, their times, for the remarks.
@@ -60,7 +58,7 @@ def cam_mark(place_rev: Floats, time_s: Floats) -> CamMark:
     known = np.isfinite(place_rev)
     place, time_s = place_rev[known], time_s[known]
     if place.size == 0:
-        return CamMark(float("nan"), [("no_cam", "suspect", "no cam mark while the crank angle is known")])
+        return math.nan, [("no_cam", "suspect", "no cam mark while the crank angle is known")]
     cycles = max(1.0, (place[-1] - place[0]) / 2.0)
     away = np.abs(wrapped(place[:, None] - place[None, :500], 2.0))
     votes = np.sum(away < SAME_MARK_REV, axis=0)
@@ -75,7 +73,7 @@ def cam_mark(place_rev: Floats, time_s: Floats) -> CamMark:
             f"{own.sum()} cam marks at one place of the cycle, {rival} a crank revolution from it, {rest.size} in all "
             "elsewhere: the cycle phase is not known"
         )
-        return CamMark(float("nan"), [("cam_unclear", "suspect", detail)])
+        return math.nan, [("cam_unclear", "suspect", detail)]
     flags: list[Remark] = []
     extra = ~own
     extra[np.flatnonzero(own)[1:][np.diff(place[own]) < 1.0]] = True
@@ -86,7 +84,7 @@ def cam_mark(place_rev: Floats, time_s: Floats) -> CamMark:
     if missing.any():
         detail = f"{missing.sum()} cam marks missing, after those {listed_times(time_s[own][:-1][missing > 0])}"
         flags.append(("cam_lost", "suspect", detail))
-    return CamMark(centre % 2.0, flags)
+    return centre % 2.0, flags
 
 
 def firing_tdc(mark_rev: float, tdc_rev: float, cam_to_tdc_deg: float | None) -> tuple[float, list[Remark]]:
@@ -144,12 +142,8 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
         if kind == "constant":
             speed_rpm = float(recording.attrs.get("speed_rpm", np.nan))
             if not speed_rpm > 0.0:
-                raise InputError(
-                    "the constant speed is not known",
-                    place="encoder",
-                    found=f"{speed_rpm:g} rpm",
-                    remedy="State speed_rpm in run.toml",
-                )
+                problem, remedy = "the constant speed is not known", "State speed_rpm in run.toml"
+                raise InputError(problem, place="encoder", found=f"{speed_rpm:g} rpm", remedy=remedy)
             return _dataset(recording, _at_constant_speed(recording, speed_rpm), "none", 0, [_NO_PHASE])
         if kind == "vibration":
             return _from_vibration(recording, settings)
@@ -176,17 +170,13 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     """Angle of all runs between standstills: each is decoded by itself, then they are laid on one angle."""
     wheel, remarks = stated_wheel(recording)
     pulse_s = recording.variables["pulse_time"].values.astype(np.float64, copy=False)
-    parts: list[slice] = [slice(None)]
-    left_out: list[Remark] = []
+    per_rev = wheel.places.size * float(recording.attrs.get("ratio", 1.0))
+    parts, left_out = [slice(None)], list[Remark]()
     if pulse_s.size > 2 and (np.diff(pulse_s) >= 0.0).all():
-        shape = wheel_of(*wheel)
-        ratio = float(recording.attrs.get("ratio", 1.0))
-        widest = float(shape.spans.max() * shape.places.size / shape.grid)
-        parts, left_out = running_parts(pulse_s, pulses_per_rev=shape.places.size * ratio, gap=widest, joined=True)
-    decoded: list[_Decoded] = []
-    runs: list[ShaftRun] = []
+        parts, left_out = running_parts(pulse_s, pulses_per_rev=per_rev, gap=wheel.widest_gap, joined=True)
+    decoded, runs = list[_Decoded](), list[ShaftRun]()
     # at rest a few pulses come further and further apart, which no even smoothing follows
-    smooth = len(parts) == 1 or wheel.pulses_per_rev > FEW_PULSES
+    smooth = len(parts) == 1 or wheel.places.size > FEW_PULSES
     for part in parts:
         try:
             run = _from_run(recording, settings, wheel, part, smooth=smooth)
@@ -203,7 +193,7 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         period = float(recording.attrs["revs_per_cycle"]) if run.cycle_known else 1.0
         runs.append(ShaftRun(run.knots, ends_s, first, last, 0.0 if run.reference == "none" else period))
         decoded.append(run)
-    knots = joined(runs, wheel.pulses_per_rev * float(recording.attrs.get("ratio", 1.0)))
+    knots = joined(runs, per_rev)
     if len(runs) > 1 and any(run.reference == "none" for run in decoded):
         detail = "no mark tells the angle again after the standstill: between the runs the pulses are counted"
         left_out.append(("standstill_phase", "info", detail))
@@ -222,14 +212,12 @@ class _Decoded:
     teeth_stated: dict[str, Attribute]
 
 
-def _from_run(
-    recording: xr.Dataset, settings: ShaftSettings, wheel: StatedWheel, part: slice, *, smooth: bool
-) -> _Decoded:
+def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part: slice, *, smooth: bool) -> _Decoded:
     attrs = recording.attrs
     stated, ratio = float(attrs.get("pulse_noise_s", 0.0)), float(attrs.get("ratio", 1.0))
     teeth = number_teeth(
         recording.variables["pulse_time"].values[part].astype(np.float64, copy=False),
-        **wheel._asdict(),
+        wheel,
         settings=settings,
         index_time_s=times_of(recording, "index_time"),
         ratio=ratio,
@@ -289,7 +277,13 @@ def _shaft_of(
 
 def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> tuple[float, bool, str, list[Remark]]:
     """Angle [rev] of a top dead centre where that of tooth 0 is 0; whether it fires; what it rests on; remarks."""
-    attrs, flags = recording.attrs, mark_flags(teeth, recording)
+    attrs, flags = recording.attrs, list[Remark]()
+    turns = 1.0 / float(attrs.get("ratio", 1.0))
+    if np.isfinite(teeth.index_tooth) and abs(turns - round(turns)) > 1e-9:
+        detail = (
+            f"the encoder turns {1.0 / turns:g} times per crank revolution: its mark is at top dead centre only once"
+        )
+        flags.append(("index_not_on_crank", "suspect", detail))
     tdc = teeth.index_tooth / teeth_per_rev + float(attrs.get("index_to_tdc_deg", 0.0)) / 360.0
     stated = "index_to_tdc_deg" in attrs
     # a mark on the camshaft itself, as of an encoder there
@@ -298,12 +292,12 @@ def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> t
     cam_s = times_of(recording, "cam_time")
     if cam_s is not None and not cycle_known:
         place = np.interp(cam_s, teeth.time_s, teeth.tooth / teeth_per_rev, left=np.nan, right=np.nan)
-        mark = cam_mark(place, cam_s)
-        flags += mark.flags
-        if np.isfinite(mark.place_rev):
+        mark_rev, mark_flags = cam_mark(place, cam_s)
+        flags += mark_flags
+        if np.isfinite(mark_rev):
             to_tdc = float(attrs["cam_to_tdc_deg"]) if "cam_to_tdc_deg" in attrs else None
             stated |= not np.isfinite(tdc) and to_tdc is not None
-            tdc, cam_flags = firing_tdc(mark.place_rev, tdc, to_tdc)
+            tdc, cam_flags = firing_tdc(mark_rev, tdc, to_tdc)
             flags, cycle_known = flags + cam_flags, True
     if not np.isfinite(tdc):
         if not any(flag == "no_index" for flag, _, _ in teeth.flags):
@@ -322,9 +316,8 @@ def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> t
 
 def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     if "speed_signal" not in recording.variables:
-        raise InputError(
-            "the recording holds no speed signal", place="encoder", remedy="Check the encoder's source in run.toml"
-        )
+        problem = "the recording holds no speed signal"
+        raise InputError(problem, place="encoder", remedy="Check the encoder's source in run.toml")
     knots, flags = integrated_speed(
         recording.variables["speed_signal"].values,
         rate_hz=float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"])),
@@ -390,15 +383,15 @@ def _dataset(
     """The ShaftAngle dataset, signed in its history."""
     name = str(recording.attrs["recording"])
     start_s = float(recording.attrs.get("start_s", 0.0))
-    columns: dict[str, tuple[Any, str, str]] = {
-        "time": (knots.time_s + start_s, "s", "time of the knot"),
-        "crank_angle": (knots.angle_rev, "rev", "crank angle from top dead centre"),
-        "speed": (knots.speed_rpm, "min-1", "crank speed"),
-        "standard_error": (knots.standard_error_rev, "rev", "standard error of the crank angle"),
+    columns: Variables = {
+        "time": described("knot", knots.time_s + start_s, "s", "time of the knot"),
+        "crank_angle": described("knot", knots.angle_rev, "rev", "crank angle from top dead centre"),
+        "speed": described("knot", knots.speed_rpm, "min-1", "crank speed"),
+        "standard_error": described("knot", knots.standard_error_rev, "rev", "standard error of the crank angle"),
     }
     signed = f"shaft: {knots.time_s.size} knots from {n_pulses} pulses, angle 0 is {reference}"
     shaft = xr.Dataset(
-        {key: ("knot", value, {"units": unit, "long_name": text}) for key, (value, unit, text) in columns.items()},
+        columns,
         attrs={
             "recording": name,
             "phase_reference": reference,
@@ -412,3 +405,87 @@ def _dataset(
     shaft = with_flags(shaft, flags_named(name, remarks))
     check_dataset(shaft, "shaft_angle")
     return ShaftAngle(shaft)
+
+
+STEP_SHARE = 1e-3
+"""Share of a knot interval over which the speed at a pulse is differenced."""
+
+
+@dataclass(frozen=True)
+class ShaftRun:
+    """Knots of one run between standstills, the times of its first and last pulse, and how its angle is known.
+
+    ``first`` and ``last`` number these pulses among all of the recording; ``period_rev`` are the turns after which its
+    mark comes again, 0 where it has none.
+    """
+
+    knots: AngleKnots
+    ends_s: tuple[float, float]
+    first: int
+    last: int
+    period_rev: float
+
+
+def joined(runs: list[ShaftRun], teeth_per_rev: float) -> AngleKnots:
+    """Knots of all ``runs`` in turn, on the angle of the first.
+
+    Between two of them the shaft turns by the pulses between, of which ``teeth_per_rev`` make a revolution, to the
+    nearest angle at which the mark, where there is one, stands right; it slows down evenly, stands and speeds up.
+    """
+    knots = _within(runs[0].knots, -np.inf, runs[0].ends_s[1]) if len(runs) > 1 else runs[0].knots
+    for before, run in pairwise(runs):
+        own = _within(run.knots, run.ends_s[0], np.inf if run is runs[-1] else run.ends_s[1])
+        turned = (run.first - before.last) / teeth_per_rev
+        shift = knots.angle_rev[-1] + turned - own.angle_rev[0]
+        if run.period_rev > 0.0:
+            shift = run.period_rev * np.round(shift / run.period_rev)
+        laid = replace(own, angle_rev=own.angle_rev + float(shift))
+        # a tooth too many counted at rest would let the angle go back
+        behind = laid.angle_rev > knots.angle_rev[-1]
+        knots = _stopped_between(knots, _of(laid, _columns(laid)[:, behind]))
+    return knots
+
+
+def _within(knots: AngleKnots, first_s: float, last_s: float) -> AngleKnots:
+    """``knots`` that end at ``first_s`` and ``last_s`` where these lie inside: no tooth is counted on beyond."""
+    inside = _columns(knots)[:, (knots.time_s > first_s) & (knots.time_s < last_s)]
+    return _of(knots, np.concatenate([_knot_at(knots, first_s), inside, _knot_at(knots, last_s)], axis=1))
+
+
+def _knot_at(knots: AngleKnots, at_s: float) -> Floats:
+    """The knot (4, 1) at ``at_s`` on the cubics between ``knots``; none (4, 0) beyond them."""
+    if not knots.time_s[0] <= at_s <= knots.time_s[-1]:
+        return np.empty((4, 0))
+    known = (knots.time_s, knots.angle_rev, knots.speed_rpm)
+    step = STEP_SHARE * float(np.diff(knots.time_s).min())
+    near = np.clip([at_s - step, at_s + step], knots.time_s[0], knots.time_s[-1])
+    speed_rpm = 60.0 * np.diff(angle_at(near, *known))[0] / np.diff(near)[0]
+    error_rev = np.interp(at_s, knots.time_s, knots.standard_error_rev)
+    return np.array([[at_s], angle_at([at_s], *known), [speed_rpm], [error_rev]])
+
+
+def _stopped_between(one: AngleKnots, two: AngleKnots) -> AngleKnots:
+    """Knots of both and two in the hole between, where the shaft has slowed down and where it starts."""
+    hole_s, turned = two.time_s[0] - one.time_s[-1], two.angle_rev[0] - one.angle_rev[-1]
+    fast = np.array([one.speed_rpm[-1], two.speed_rpm[0]]) / 60.0
+    slowing = min(hole_s / 3.0, turned / max(float(fast.sum()), 1e-12))
+    slow = (turned - 0.5 * slowing * float(fast.sum())) / (hole_s - slowing)
+    covered = 0.5 * (fast + slow) * slowing
+    error = max(one.standard_error_rev[-1], two.standard_error_rev[0], turned / np.sqrt(12.0))
+    between = [
+        [one.time_s[-1] + slowing, two.time_s[0] - slowing],
+        [one.angle_rev[-1] + covered[0], two.angle_rev[0] - covered[1]],
+        [60.0 * slow, 60.0 * slow],
+        [error, error],
+    ]
+    both = replace(one, cut_off_order=min(one.cut_off_order, two.cut_off_order), noise_s=max(one.noise_s, two.noise_s))
+    return _of(both, np.concatenate([_columns(one), between, _columns(two)], axis=1))
+
+
+def _columns(knots: AngleKnots) -> Floats:
+    return np.array([knots.time_s, knots.angle_rev, knots.speed_rpm, knots.standard_error_rev])
+
+
+def _of(knots: AngleKnots, columns: Floats) -> AngleKnots:
+    time_s, angle_rev, speed_rpm, error_rev = columns
+    return replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import xarray as xr
 from numba import njit
 
 from crankorder.quantities import Floats, Ints
@@ -88,24 +89,7 @@ def running_parts(
     if joined and len(still) == len(stops):
         fewest = max(FEWEST_PULSES, FEWEST_REVS * pulses_per_rev)
         used = [part for part in parts if part == longest or part.stop - part.start > fewest]
-    return used, _left_out(time_s, parts, used, still, [at for at in stops if at not in still], pulses_per_rev)
-
-
-def running_part(time_s: Floats, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
-    """The longest of the :func:`running_parts` of ``time_s``, and remarks; ``pulses_per_rev`` and ``gap`` as there."""
-    parts, flags = running_parts(time_s, pulses_per_rev=pulses_per_rev, gap=gap)
-    return parts[0], flags
-
-
-def _left_out(
-    time_s: Floats,
-    parts: list[slice],
-    used: list[slice],
-    still: list[int],
-    lost: list[int],
-    pulses_per_rev: float,
-) -> list[Remark]:
-    """Remarks on those of the ``parts`` that are not ``used``, and on the holes at which the shaft stands or not."""
+    lost = [at for at in stops if at not in still]
     stray = [part for part in parts if part.stop - part.start < max(2.0, pulses_per_rev) and part not in used]
     flags: list[Remark] = []
     if still:
@@ -121,7 +105,13 @@ def _left_out(
     runs = [part for part in parts if part not in stray and part not in used]
     if runs:
         flags.append(("encoder_part_unused", "suspect", f"shorter runs of the shaft left out, {_times(time_s, runs)}"))
-    return flags
+    return used, flags
+
+
+def running_part(time_s: Floats, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
+    """The longest of the :func:`running_parts` of ``time_s``, and remarks; ``pulses_per_rev`` and ``gap`` as there."""
+    parts, flags = running_parts(time_s, pulses_per_rev=pulses_per_rev, gap=gap)
+    return parts[0], flags
 
 
 def _turning_points(step: Floats) -> list[int]:
@@ -173,10 +163,92 @@ def _times(time_s: Floats, parts: list[slice]) -> str:
     return ", ".join(f"{time_s[part.start]:.6g} to {time_s[part.stop - 1]:.6g} s" for part in parts)
 
 
-def listed_times(time_s: Floats) -> str:
-    """Words for the times ``time_s`` [s] of events: the first five, and how many more."""
-    listed = ", ".join(f"{value:.6g}" for value in time_s[:5])
-    return f"at {listed} s" + (f" and {time_s.size - 5} more" if time_s.size > 5 else "")
+LEAST_REVS = 2.0
+"""Turns, at the speed beside it, that a stretch without pulses must last to be worth a remark …"""
+
+LEAST_INTERVALS = 4.0
+"""… and so many times as long as the intervals between the pulses beside."""
+
+BESIDE_SHARE = 0.1
+"""Share of the time with pulses in which the speed beside the silence, and its change, are looked at."""
+
+GOES_ON = 0.5
+"""Vibration that keeps this share of its amplitude when the pulses stop is that of a machine that runs on."""
+
+LOOK_S = 1.0
+"""Length of the silence, from where the pulses are, whose vibration is looked at."""
+
+NO_PULSES = "no_pulses"
+"""Flag of a stretch without pulses."""
+
+
+def silent_ends(recording: xr.Dataset, shaft: xr.Dataset) -> list[Remark]:
+    """Remarks on the ends of ``recording`` (a Recording by time) that its pulses leave out of ``shaft`` (its angle)."""
+    if "pulse_time" not in recording or "rate_hz" not in recording.attrs:
+        return []
+    pulse_s, signal = (recording.variables[name].values for name in ("pulse_time", "signal"))
+    rate_hz = float(recording.attrs["rate_hz"])
+    length_s = signal.shape[1] / rate_hz
+    if pulse_s.size < 4 or not 0.0 <= pulse_s[0] < pulse_s[-1] <= length_s + 1.0 / rate_hz:
+        return []
+    time_s, speed_rpm = (shaft.variables[name].values for name in ("time", "speed"))
+    end = _silence(pulse_s, time_s, speed_rpm, signal, rate_hz, at_end=True)
+    # the start is the end of the recording played backwards
+    backwards = (length_s - pulse_s[::-1], length_s - time_s[::-1], speed_rpm[::-1], signal[:, ::-1])
+    remarks = (_silence(*backwards, rate_hz, at_end=False), end)
+    return [remark for remark in remarks if remark is not None]
+
+
+def _silence(
+    pulse_s: Floats, time_s: Floats, speed_rpm: Floats, signal: Floats, rate_hz: float, *, at_end: bool
+) -> Remark | None:
+    """Remark on a stretch without pulses at the end of ``signal`` (channels, samples); None where none is long.
+
+    It tells a standstill, where the speed beside falls so fast that the shaft may have come to rest, from an encoder
+    that was lost, where the vibration goes on. Unless ``at_end``, all is given as played backwards.
+    """
+    length_s, edge_s = signal.shape[1] / rate_hz, float(pulse_s[-1])
+    gap_s = length_s - edge_s
+    if gap_s <= LEAST_INTERVALS * float(np.median(np.diff(pulse_s[-4:]))):
+        return None
+    reach_s = edge_s - float(pulse_s[-max(3, round(BESIDE_SHARE * pulse_s.size))])
+    rpm, may_stand = _speed_at_end(time_s - edge_s, speed_rpm, reach_s, gap_s)
+    if not gap_s * rpm / 60.0 > LEAST_REVS:
+        return None
+    vibration = _vibration_share(signal, round(edge_s * rate_hz), int(min(LOOK_S, gap_s) * rate_hz))
+    span = f"{edge_s:.3g} s to the end at {length_s:.3g} s" if at_end else f"0 s to {gap_s:.3g} s"
+    speed = f"the speed {'before' if at_end else 'after'} was {rpm:.4g} rpm"
+    length = f"{gap_s:.3g} s are left out of all that follows the shaft"
+    goes_on = vibration >= GOES_ON
+    if may_stand and not goes_on:
+        return (NO_PULSES, "info", f"no pulses from {span}: standstill or encoder lost; {speed}; {length}")
+    cause = "encoder lost while the machine ran" if goes_on and not may_stand else "encoder lost or standstill"
+    level = f"; the vibration goes on at {100.0 * vibration:.0f} % of its amplitude" if goes_on else ""
+    return (NO_PULSES, "suspect", f"no pulses from {span}: {cause}; {speed}{level}; {length}")
+
+
+def _speed_at_end(time_s: Floats, speed_rpm: Floats, reach_s: float, gap_s: float) -> tuple[float, bool]:
+    """Speed [rpm] at time 0, from those up to ``reach_s`` before, and whether its slope brings it to rest in time."""
+    close = (time_s >= -reach_s) & (time_s <= 0.0) & np.isfinite(speed_rpm)
+    if np.count_nonzero(close) < 2:
+        return float(np.nan_to_num(np.abs(speed_rpm[-1]))), False
+    away, beside = -time_s[close], np.abs(speed_rpm[close])
+    slope, at_edge = np.polyfit(away, beside, 1)
+    return max(float(at_edge), float(beside[-1]), 0.0), bool(slope * gap_s > max(float(at_edge), 0.0))
+
+
+def _vibration_share(signal: Floats, edge: int, count: int) -> float:
+    """Amplitude of ``count`` samples from ``edge`` on over that of all before, where a channel falls least.
+
+    Over all before: of a shaft that comes to rest the last turns are as quiet as a sensor's noise.
+    """
+    inside, running = signal[:, edge : edge + count], signal[:, :edge]
+    if min(inside.shape[1], running.shape[1]) < 2:
+        return float("nan")
+    known = np.isfinite(inside).any(axis=1) & np.isfinite(running).any(axis=1)
+    quiet, loud = (np.nanstd(part[known].astype(np.float64), axis=1) for part in (inside, running))
+    moves = loud > 0.0
+    return float((quiet[moves] / loud[moves]).max()) if moves.any() else float("nan")
 
 
 def followed_wheel(time_s: Floats, places: Floats, *, repeats: int) -> FollowedWheel:
@@ -195,50 +267,55 @@ def followed_wheel(time_s: Floats, places: Floats, *, repeats: int) -> FollowedW
     span = np.diff(places, append=places[0] + 1.0)
     n, most = span.size, min(MOST_LOST + 1, span.size)
     log_span = np.log(np.array([np.cumsum(np.roll(span, -tooth))[:most] for tooth in range(n)]))
-    room = 10 * n + 64
-    ways, reals = np.full((2, 7, room), -1), np.zeros((2, 4, room))
-    phases = np.arange(n // repeats)
-    ways[0, 0, phases], ways[0, 1, phases], ways[0, 2, phases], reals[0, 0, phases] = phases, 0, phases, np.nan
-    nodes = np.zeros((3, 4 * time_s.size + 4 * room), dtype=np.int64)
-    nodes[0, phases], nodes[2, phases] = -1, phases
-    slot, ends = np.empty(n, dtype=np.int64), np.array([phases.size, phases.size, 0])
+    ways, phases = np.zeros((2, 10 * n + 64), dtype=WAY), np.arange(n // repeats)
+    ways["node_0"] = -1
+    begins = ways[0, : phases.size]
+    begins["tooth"], begins["node"], begins["slow"] = phases, phases, np.nan
+    nodes = np.zeros((3, 4 * (time_s.size + ways.shape[1])), dtype=np.int64)
+    nodes[PARENT, phases], nodes[MOVED, phases] = -1, phases
     clean = CLEAN_CHANGE if most < 2 else min(CLEAN_CHANGE, CLEAN_SHARE * float(np.diff(log_span[:, :2]).min()))
-    nodes = _follow(time_s, log_span, clean, ways, reals, nodes, slot, ends)
-    kept, moved, margin, cost = _best_way(ways[0], reals[0], ends[0], nodes)
+    nodes, n_ways = _follow(time_s, log_span, clean, ways[0], ways[1], nodes, phases.size)
+    kept, moved, margin, cost = _best_way(ways[0, :n_ways], nodes, ways.shape[1] // 10)
     return FollowedWheel(kept, np.cumsum(moved), float(margin), float(cost) / kept.size)
 
 
-# A way is a column of whole numbers (tooth, last pulse, node, and the same three one pulse earlier, and the teeth moved
-# last) and one of floats (log of the seconds per revolution, cost, and the same two one pulse earlier). A node is
-# (parent, pulse, teeth moved); a node without a parent moves from tooth 0 to the first tooth. Nodes of the best way are
-# marked, in the end, by ON_BEST more teeth.
+WAY = np.dtype(
+    [(name, np.int64) for name in ("tooth", "last", "node", "moved", "tooth_0", "last_0", "node_0")]
+    + [(name, np.float64) for name in ("slow", "cost", "slow_0", "cost_0")]
+)
+"""A way to lay the wheel: its tooth, its last pulse and their node, the teeth moved last, the log of the seconds per
+revolution, the cost; ``_0``: one pulse earlier, no node (-1) where the way begins."""
+
+PARENT, PULSE, MOVED = 0, 1, 2
+"""Rows of nodes: the node before, the pulse, the teeth moved to it. One without a parent moves from tooth 0."""
+
 ON_BEST = 1 << 32
+"""Teeth by which nodes of the best way are marked in the end."""
 
 
 @njit(cache=True, nogil=True)
-def _follow(time_s, log_span, clean, ways, reals, nodes, slot, ends):  # type: ignore[no-untyped-def]
-    """Nodes of all ways; ``ends`` holds how many ways there are, how many nodes, and the last pulse looked at."""
-    size, room = time_s.size, ways.shape[2]
+def _follow(time_s, log_span, clean, ways, after, nodes, n_ways):  # type: ignore[no-untyped-def]
+    """Follow all ``ways``, of which ``after`` takes those over one pulse more; nodes, and how many ways are left."""
+    n_nodes, i, slot = n_ways, 0, np.empty(log_span.shape[0], dtype=np.int64)
     while True:
-        if ends[0] == 1 and ends[2] > 0 and ways[0, 1, 0] == ends[2]:
-            _run_on(time_s, log_span, clean, ways, reals, nodes, ends)
-        ends[2] += 1
-        if ends[2] >= size:
-            return nodes
-        if ends[1] + 2 * room + size - ends[2] > nodes.shape[1]:
+        if n_ways == 1 and i > 0 and ways[0].last == i:
+            i, n_nodes = _run_on(time_s, log_span, clean, ways[0], i, nodes, n_nodes)
+        i += 1
+        if i >= time_s.size:
+            return nodes, n_ways
+        if n_nodes + 2 * ways.size + time_s.size - i > nodes.shape[1]:
             nodes = np.concatenate((nodes, nodes), axis=1)  # as much room again
         slot[:] = -1
-        k = ends[0] * 0
-        for way in range(ends[0]):
-            k = _continued(time_s, log_span, clean, way, ways, reals, k, slot, nodes, ends)
-        _prune(ways, reals, k, nodes, ends)
+        k = 0
+        for way in range(n_ways):
+            k, n_nodes = _continued(time_s, log_span, clean, i, ways[way], after, k, slot, nodes, n_nodes)
+        n_ways, n_nodes = _prune(ways, after, k, i, nodes, n_nodes)
 
 
 @njit(cache=True, nogil=True)
-def _run_on(time_s, log_span, clean, ways, reals, nodes, ends):  # type: ignore[no-untyped-def]
-    """Take the only way as far as nothing is in question."""
-    i, n_nodes = ends[2], ends[1]
-    tooth, node, slow, cost = ways[0, 0, 0], ways[0, 2, 0], reals[0, 0, 0], reals[0, 1, 0]
+def _run_on(time_s, log_span, clean, way, i, nodes, n_nodes):  # type: ignore[no-untyped-def]
+    """Take the only way as far as nothing is in question; the last pulse, and how many nodes there are."""
+    tooth, node, slow, cost = way.tooth, way.node, way.slow, way.cost
     while i + 1 < time_s.size:
         step = time_s[i + 1] - time_s[i]
         if not step > 0.0:
@@ -246,122 +323,105 @@ def _run_on(time_s, log_span, clean, ways, reals, nodes, ends):  # type: ignore[
         change = np.log(step) - log_span[tooth, 0] - slow
         if not abs(change) < clean:
             break
-        ways[0, 3, 0], ways[0, 4, 0], ways[0, 5, 0], ways[0, 6, 0] = tooth, i, node, 1
-        reals[0, 2, 0], reals[0, 3, 0] = slow, cost
+        way.tooth_0, way.last_0, way.node_0, way.moved, way.slow_0, way.cost_0 = tooth, i, node, 1, slow, cost
         i += 1
-        nodes[0, n_nodes], nodes[1, n_nodes], nodes[2, n_nodes] = node, i, 1
+        nodes[PARENT, n_nodes], nodes[PULSE, n_nodes], nodes[MOVED, n_nodes] = node, i, 1
         node, n_nodes = n_nodes, n_nodes + 1
-        tooth += 1
-        if tooth == log_span.shape[0]:
-            tooth = 0
+        tooth = tooth + 1 if tooth + 1 < log_span.shape[0] else 0
         slow, cost = slow + FOLLOWED_SHARE * change, cost + abs(change)
-    ways[0, 0, 0], ways[0, 1, 0], ways[0, 2, 0], reals[0, 0, 0], reals[0, 1, 0] = tooth, i, node, slow, cost
-    ends[1], ends[2] = n_nodes, i
+    way.tooth, way.last, way.node, way.slow, way.cost = tooth, i, node, slow, cost
+    return i, n_nodes
 
 
 @njit(cache=True, nogil=True)
-def _prune(ways, reals, k, nodes, ends):  # type: ignore[no-untyped-def]
-    """Take over those of the ``k`` next ways that are not far behind the best, each with its node."""
-    best, m, n_nodes = np.inf, k * 0, ends[1]
+def _prune(ways, after, k, i, nodes, n_nodes):  # type: ignore[no-untyped-def]
+    """Take over those of the ``k`` next ways that are not far behind the best, each with its node; how many of both."""
+    best, m = np.inf, 0
     for way in range(k):
-        if reals[1, 1, way] < best:
-            best = reals[1, 1, way]
+        best = min(best, after[way].cost)
     for way in range(k):
-        if reals[1, 1, way] <= best + DROP_COST and 2 * m < ways.shape[2]:
-            for row in range(7):
-                ways[0, row, m] = ways[1, row, way]
-            for row in range(4):
-                reals[0, row, m] = reals[1, row, way]
-            if ways[0, 2, m] < 0:
-                nodes[0, n_nodes], nodes[1, n_nodes], nodes[2, n_nodes] = ways[0, 5, m], ends[2], ways[0, 6, m]
-                ways[0, 2, m] = n_nodes
+        if after[way].cost <= best + DROP_COST and 2 * m < ways.size:
+            ways[m] = after[way]
+            if ways[m].node < 0:
+                nodes[PARENT, n_nodes], nodes[PULSE, n_nodes], nodes[MOVED, n_nodes] = ways[m].node_0, i, ways[m].moved
+                ways[m].node = n_nodes
                 n_nodes += 1
             m += 1
-    ends[0], ends[1] = m, n_nodes
+    return m, n_nodes
 
 
 @njit(cache=True, nogil=True)
-def _continued(time_s, log_span, clean, way, ways, reals, k, slot, nodes, ends):  # type: ignore[no-untyped-def]
-    """Add all that the next pulse may be after one way to the next ways; how many there are now."""
-    i, tooth, last, node = ends[2], ways[0, 0, way], ways[0, 1, way], ways[0, 2, way]
-    slow, cost = reals[0, 0, way], reals[0, 1, way]
-    step = time_s[i] - time_s[last]
-    log_s = np.log(step if step > 1e-12 else 1e-12)
-    log_now = log_s - log_span[tooth, 0]
-    change, price = abs(log_now - slow), cost
+def _continued(time_s, log_span, clean, i, way, after, k, slot, nodes, n_nodes):  # type: ignore[no-untyped-def]
+    """Add all that pulse ``i`` may be after one way to the next ways; how many there are now, and how many nodes."""
+    log_s = np.log(max(time_s[i] - time_s[way.last], 1e-12))
+    log_now = log_s - log_span[way.tooth, 0]
+    change, price = abs(log_now - way.slow), way.cost
     for teeth in range(1, log_span.shape[1] + 1):
-        log_slow = log_s - log_span[tooth, teeth - 1]
-        if teeth == 1 or abs(log_slow - slow) < change:
-            k = _added(ways, reals, slot, k, i, tooth, last, node, slow, cost, teeth, log_slow, price)
+        log_slow = log_s - log_span[way.tooth, teeth - 1]
+        if teeth == 1 or abs(log_slow - way.slow) < change:
+            k = _added(after, slot, k, i, way.tooth, way.last, way.node, way.slow, way.cost, teeth, log_slow, price)
         if not change >= clean:
-            return k
+            return k, n_nodes
         price += REPAIR_COST if teeth == 1 else NEXT_LOST_COST
-    if k < ways.shape[2]:  # this pulse is false
-        for row in range(7):
-            ways[1, row, k] = ways[0, row, way]
-        for row in range(4):
-            reals[1, row, k] = reals[0, row, way]
-        reals[1, 1, k] = cost + REPAIR_COST
+    if k < after.size:  # this pulse is false
+        after[k] = way
+        after[k].cost = way.cost + REPAIR_COST
         k += 1
-    node_0 = ways[0, 5, way]
-    if node_0 < 0:
-        return k
-    first = nodes[0, node_0] < 0
-    for begins in range(2 if first else 1):
-        if begins == 0:
-            # the last pulse of this way was false, with all between it and this one
-            tooth_0, last_0, slow, cost = ways[0, 3, way], ways[0, 4, way], reals[0, 2, way], reals[0, 3, way]
-            log_slow = np.log(time_s[i] - time_s[last_0] + 1e-12) - log_span[tooth_0, 0]
-            price = cost + (i - last_0 - 1) * REPAIR_COST
-        else:
-            # or the one before it was, and the train begins with it
-            nodes[0, ends[1]], nodes[1, ends[1]], nodes[2, ends[1]] = -1, last, tooth
-            tooth_0, last_0, node_0, slow, log_slow = tooth, last, ends[1], np.nan, log_now
-            cost += (i - last) * REPAIR_COST
-            price = cost
-            ends[1] += 1
-        k = _added(ways, reals, slot, k, i, tooth_0, last_0, node_0, slow, cost, begins * 0 + 1, log_slow, price)
-    return k
+    if way.node_0 < 0:
+        return k, n_nodes
+    # the last pulse of this way was false, with all between it and this one
+    log_slow = np.log(time_s[i] - time_s[way.last_0] + 1e-12) - log_span[way.tooth_0, 0]
+    price = way.cost_0 + (i - way.last_0 - 1) * REPAIR_COST
+    k = _added(after, slot, k, i, way.tooth_0, way.last_0, way.node_0, way.slow_0, way.cost_0, 1, log_slow, price)
+    if nodes[PARENT, way.node_0] < 0:
+        # or the one before it was, and the train begins with it
+        nodes[PARENT, n_nodes], nodes[PULSE, n_nodes], nodes[MOVED, n_nodes] = -1, way.last, way.tooth
+        price = way.cost_0 + (i - way.last) * REPAIR_COST
+        k = _added(after, slot, k, i, way.tooth, way.last, n_nodes, np.nan, price, 1, log_now, price)
+        n_nodes += 1
+    return k, n_nodes
 
 
 @njit(cache=True, nogil=True)
-def _added(ways, reals, slot, k, i, tooth, last, node, slow, cost, teeth, log_slow, price):  # type: ignore[no-untyped-def]
+def _added(after, slot, k, i, tooth, last, node, slow, cost, teeth, log_slow, price):  # type: ignore[no-untyped-def]
     """Add the way over ``teeth`` to pulse ``i`` at its price, unless one at its tooth is cheaper; how many now."""
-    change = 0.0 if slow != slow else log_slow - slow
+    change = 0.0 if np.isnan(slow) else log_slow - slow
     price_now, tooth_now = price + abs(change), (tooth + teeth) % slot.size
     at = slot[tooth_now]
     if at < 0:
-        at, k = k, k + 1
-        slot[tooth_now] = at
-    elif reals[1, 1, at] <= price_now:
+        at = slot[tooth_now] = k
+        k += 1
+    elif after[at].cost <= price_now:
         return k
-    ways[1, 0, at], ways[1, 1, at], ways[1, 2, at], ways[1, 3, at] = tooth_now, i, -1, tooth
-    ways[1, 4, at], ways[1, 5, at], ways[1, 6, at] = last, node, teeth
-    reals[1, 0, at] = log_slow if slow != slow else slow + FOLLOWED_SHARE * min(max(change, -1.0), 1.0)
-    reals[1, 1, at], reals[1, 2, at], reals[1, 3, at] = price_now, slow, cost
+    way = after[at]
+    way.tooth, way.last, way.node, way.moved, way.cost = tooth_now, i, -1, teeth, price_now
+    way.tooth_0, way.last_0, way.node_0, way.slow_0, way.cost_0 = tooth, last, node, slow, cost
+    way.slow = log_slow if np.isnan(slow) else slow + FOLLOWED_SHARE * min(max(change, -1.0), 1.0)
     return k
 
 
 @njit(cache=True, nogil=True)
-def _best_way(ways, reals, m, nodes):  # type: ignore[no-untyped-def]
-    """Kept pulses and teeth moved to each along the cheapest way, how much more another phase costs, its cost."""
-    best, margin, length, early = 0, np.inf, 0, ways.shape[1] // 10
-    for way in range(m):
-        best = way if reals[1, way] < reals[1, best] else best
-    node = ways[2, best]
+def _best_way(ways, nodes, early):  # type: ignore[no-untyped-def]
+    """Kept pulses and teeth moved to each along the cheapest way, how much more another phase costs, its cost.
+
+    Another phase is that of a way that parts from the cheapest one before pulse ``early``.
+    """
+    best, margin, length = 0, np.inf, 0
+    for way in range(ways.size):
+        best = way if ways[way].cost < ways[best].cost else best
+    node = ways[best].node
     while node >= 0:
-        nodes[2, node] += ON_BEST
-        length, node = length + 1, nodes[0, node]
-    for way in range(m):
-        # a way that parts from the best one only late says nothing of the phase before
-        node = ways[2, way]
-        while node >= 0 and nodes[2, node] < ON_BEST:
-            node = nodes[0, node]
-        if node < 0 or nodes[1, node] < early:
-            margin = min(margin, reals[1, way] - reals[1, best]) if way != best else margin
+        nodes[MOVED, node] += ON_BEST
+        length, node = length + 1, nodes[PARENT, node]
+    for way in range(ways.size):
+        node = ways[way].node
+        while node >= 0 and nodes[MOVED, node] < ON_BEST:
+            node = nodes[PARENT, node]
+        if way != best and (node < 0 or nodes[PULSE, node] < early):
+            margin = min(margin, ways[way].cost - ways[best].cost)
     kept, moved = np.empty(length, dtype=np.int64), np.empty(length, dtype=np.int64)
-    node = ways[2, best]
+    node = ways[best].node
     for at in range(length - 1, -1, -1):
-        kept[at], moved[at] = nodes[1, node], nodes[2, node] - ON_BEST
-        node = nodes[0, node]
-    return kept, moved, margin, reals[1, best]
+        kept[at], moved[at] = nodes[PULSE, node], nodes[MOVED, node] - ON_BEST
+        node = nodes[PARENT, node]
+    return kept, moved, margin, ways[best].cost

@@ -86,7 +86,7 @@ def cut_off_of(grid: Floats, weight: Floats, *, noise_s: float, floor: float, ma
         count, pulse = weights.sum(), weights > 0.0
         while cut_off <= HIGHEST_CUT_OFF:
             penalty, white = penalty_of(cut_off, spacing), _residual_moments(penalty_of(cut_off))
-            if smoother is None or not smoother.is_of(weights, penalty):
+            if smoother is None or smoother.penalty != penalty or not np.array_equal(weights, smoother.weight):
                 smoother = Smoother(weights, penalty)
             residual = (times - smoother.smoothed(times))[pulse]
             variance = float(residual @ residual) / (count * max(white[0], 1.0 / count))
@@ -123,10 +123,6 @@ class Smoother:
         settled = max(2e-16, min(SETTLED_SHARE, SETTLED / penalty))
         used = _factors(weight, penalty, _penalty_rows(min(weight.size, 8)), settled, table, self.row)
         self.table = table[:used]
-
-    def is_of(self, weight: Floats, penalty: float) -> bool:
-        """Whether this is the smoother of ``weight`` (teeth,) and ``penalty``."""
-        return penalty == self.penalty and np.array_equal(weight, self.weight)
 
     def smoothed(self, value: Floats) -> Floats:
         """Solution z (teeth,) of (W + penalty D'D) z = W ``value``, D the third difference; O(n).

@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import xarray as xr
 
-from crankorder.errors import printable
-from crankorder.findings import SpeedSwing as SpeedSwingFinding
-from crankorder.quantities import Attribute, Bools, Complexes, Floats
+from crankorder.quantities import Attribute, Bools, Complexes, Floats, Ints
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.line_pattern import LinePattern, even_line_times, first_order, line_pattern
 from crankorder.shaft.pulses import Remark
 from crankorder.shaft.wheel import NumberedTeeth
 
@@ -94,18 +90,24 @@ def tooth_errors(
     pattern = repeating(revs_per_cycle=revs_per_cycle) or repeating(revs_per_cycle=1)
     if pattern is None:
         return None
-    errors = _errors_in(pattern, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
-    if errors is None:
-        return None
-    # what teeth and motion make together is known once the teeth are
-    added = first_order(pattern, errors.line_error_rev)
-    return _errors_in(added, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1) or errors
+    return _errors_in(pattern, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
 
 
 def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedTeeth:
-    """``teeth`` at the times at which they would have come without their ``errors``."""
-    times = even_line_times(teeth.time_s, teeth.tooth, errors.line_error_rev)
-    return replace(teeth, time_s=times) if bool((np.diff(times) > 0.0).all()) else teeth
+    """``teeth`` at the times at which they would have come without their ``errors``, if these grow.
+
+    What a tooth number means stays: angle 0 is where line 0 should be, by the mean of all lines.
+    """
+    time_s, tooth, lines = teeth.time_s, teeth.tooth, errors.line_error_rev.size
+    # over a part of a revolution that averages the noise of pulses, and in which the speed hardly changes
+    reach = max(1, round(lines / 48 * time_s.size / (tooth[-1] - tooth[0] + 1)))
+    at = np.arange(time_s.size)
+    before, after = np.maximum(at - reach, 0), np.minimum(at + reach, at.size - 1)
+    moved = time_s
+    for _ in range(SPEED_ROUNDS):
+        tooth_s = (moved[after] - moved[before]) / (tooth[after] - tooth[before])
+        moved = time_s - errors.line_error_rev[tooth % lines] * lines * tooth_s
+    return replace(teeth, time_s=moved) if (np.diff(moved) > 0.0).all() else teeth
 
 
 def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
@@ -167,8 +169,12 @@ def _errors_in(pattern: LinePattern, ratio: float, least_share: float, *, engine
     count = int(high.sum())
     limits = (_limit(CHANCE_LOW, count), _limit(CHANCE_HIGH / count, count))
     stands = (harmonic >= 1) & (power > np.where(low, *limits) * level)
+    # no tooth makes the orders between those of the encoder
+    order = np.arange(pattern.cycle_rev.size)
+    between = (order % pattern.period_revs > 0) & (order * ratio / pattern.period_revs <= HIGHEST_MOTION)
+    swings = engine or (stands & low).any() or (np.abs(pattern.cycle_rev[between]) ** 2 > level).any()
     # where a shaft swings at one low order it may at all of them: sidebands tell how much of these is the teeth's
-    kept = stands | (low & (engine or bool((stands & low).any()) or _swings_between(pattern, ratio, level)))
+    kept = stands | (low & bool(swings))
     own = np.where(kept | (harmonic == 0), 0.0, pattern.harmonic_rev)
     error: Floats = np.fft.irfft(own * (lines / 2.0), lines)
     left = float(np.sum(kept)) * level + float(np.sum(power[low & ~kept]))
@@ -194,14 +200,6 @@ def _limit(chance: float, count: int) -> float:
     return float(known * (chance ** (-1.0 / known) - 1.0))
 
 
-def _swings_between(pattern: LinePattern, ratio: float, level: float) -> bool:
-    """Whether the shaft swings at orders between those of the encoder, which no tooth makes, as much as teeth do."""
-    revs = pattern.period_revs
-    order = np.arange(pattern.cycle_rev.size)
-    between = (order % revs > 0) & (order * ratio / revs <= HIGHEST_MOTION)
-    return bool((np.abs(pattern.cycle_rev[between]) ** 2 > level).any())
-
-
 def _white_level(power: Floats, variance: Floats, low: Bools, high: Bools) -> float:
     """Mean ``power`` (harmonics,) [rev²] of the teeth's errors by their ``high`` ones; 0 where these are not white."""
     own, noise = power[high], variance[high]
@@ -218,164 +216,209 @@ def _white_level(power: Floats, variance: Floats, low: Bools, high: Bools) -> fl
     return level if white and level > SURE_POWER * float(np.median(noise)) else 0.0
 
 
-HIGHEST = 12.0
-"""Order up to which the swing is told: gas and inertia of a few cylinders lie below."""
+# Teeth that are enough: a hundred-thousandth of a revolution per pulse is then known to a hundred-millionth.
+MOST_TEETH = 1 << 20
+# Fewest periods of the in-cycle motion whose scatter tells the error of their mean, and most groups of them.
+FEWEST_PERIODS, MOST_BATCHES = 4, 16
+# Encoder revolutions after which crank and cycle must be back where they were; if they need more, they count as never.
+LONGEST_PERIOD_REVS = 16
+# Pulse times in which the tick of a counter is looked for; changes of interval that it takes, and how whole they are.
+SOME_TIMES, FEWEST_STEPS, COUNT_SLACK = 1024, 32, 0.05
+# Lines whose places between samples are looked at, and harmonics of the sawtooth by which sampling rounds.
+SOME_LINES, SAWTOOTH_HARMONICS = 32, 4
+# Rounding that is the same in every period is not spread evenly over the orders: those that matter may get more.
+GATHERED = 1.5
+# Encoder orders up to which motion between those of the teeth is sought; least part of an order that the means leave.
+LOW_ORDERS, LEAST_GAIN = 24, 0.005
+# Times that the speed at a line is taken: at first the errors of the lines beside it are in it.
+SPEED_ROUNDS = 2
 
-KNOTS_PER_PERIOD = 2.5
-"""An order is told where angle and speed are known so many times a period of it, or more often."""
 
-SURE = 5.0
-"""Standard errors of the mean cycle that a swing must exceed: a test has many orders and recordings."""
+@dataclass(frozen=True, eq=False)
+class LinePattern:
+    """Mean place [rev] of each of the ``lines`` of one recording where even rotation would have it at line / lines.
 
-LEAST_SHARE = 0.0005
-"""Of the mean speed: a smaller swing is not worth mention, and within what encoders err."""
-
-BETWEEN = 8
-"""Places at which the speed is taken from one knot to the next."""
-
-FEWEST_CYCLES = 2
-"""Whole cycles of a recording from which on its swing is told."""
-
-
-@dataclass(frozen=True)
-class SpeedSwing:
-    """Peak amplitudes (rpm) of a speed at ``orders``, about its mean ``speed_rpm``, over ``cycles`` whole cycles.
-
-    ``amplitude_rpm`` (orders,) is the root of the mean square over the cycles, what differs from cycle to cycle
-    included; ``steady_rpm`` (orders,) is that of the mean cycle; ``doubt_rpm`` (orders,) is what the teeth of the wheel
-    may make of it.
+    Line 0 is tooth number 0; lines that the wheel does not have are filled in from their neighbours. ``harmonic_rev``
+    (order,) are the complex amplitudes of the places by order of the encoder, ``harmonic_variance`` (order,) the mean
+    squares of their errors [rev²]. ``cycle_rev`` are the complex amplitudes of the low orders 0, 1/k, 2/k … of the
+    k = ``period_revs`` encoder revolutions in which the motion repeats. ``n_revs`` encoder revolutions were looked at.
     """
 
-    speed_rpm: float
-    cycles: int
-    orders: Floats
-    amplitude_rpm: Floats
-    steady_rpm: Floats
-    doubt_rpm: Floats
-
-    @property
-    def told(self) -> Bools:
-        """Which ``orders`` swing for certain: far more than the cycles scatter or teeth make, and worth mention."""
-        scatter = np.sqrt(np.maximum(self.amplitude_rpm**2 - self.steady_rpm**2, 0.0) / self.cycles)
-        sure = (self.steady_rpm > SURE * scatter) & (self.steady_rpm > self.doubt_rpm)
-        return sure & (self.steady_rpm > LEAST_SHARE * self.speed_rpm)
+    lines: int
+    harmonic_rev: Complexes
+    harmonic_variance: Floats
+    cycle_rev: Complexes
+    period_revs: int
+    n_revs: int
 
 
-MOST_VALUES = 1 << 18
-"""Speeds within cycles that are told at a time: the memory does not grow with the recording."""
+def line_pattern(
+    time_s: Floats,
+    tooth: Ints,
+    *,
+    teeth_per_encoder_rev: int,
+    ratio: float = 1.0,
+    revs_per_cycle: int = 1,
+    noise_s: float = 0.0,
+) -> LinePattern | None:
+    """Mean deviation of each line over all revolutions of a recording; None where these are too few: below six periods.
 
-WHOLE = 1e-6
-"""An order of the encoder this close to a whole number is one."""
+    Drift and slow wobble of the speed are taken out by twice subtracting the mean over one revolution: a speed that
+    changes up to quadratically with angle leaves nothing, and no order of the encoder is touched.
 
-
-def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
-    """Swing of the speed of ``shaft`` (ShaftAngle) at the multiples of its cycle's order; None where not known."""
-    known = swing_of_cycles(shaft)
-    if known is None:
-        return None
-    orders, means, lines = known
-    mean = float(means.mean())
-    size, steady = np.sqrt((np.abs(lines) ** 2).mean(axis=0)), np.abs(lines.mean(axis=0))
-    return SpeedSwing(mean, len(means), orders, size, steady, doubt_rpm=_of_teeth(shaft, orders) * mean)
-
-
-def speed_swings(
-    shafts: Iterable[xr.Dataset], *, of_encoder: Collection[float], encoder_deg: Mapping[float, float]
-) -> tuple[SpeedSwingFinding, ...]:
-    """Swing of the speed of each of ``shafts`` within its cycle, by order, the largest first; only what is certain.
-
-    At the orders ``of_encoder`` the encoder itself swings: that is no motion of the shaft. An encoder could show those
-    that are no larger than ``encoder_deg`` at its order.
+    Parameters
+    ----------
+    time_s : (pulses,), s, increasing
+    tooth : (pulses,), tooth numbers, increasing; holes are teeth without a pulse
+    teeth_per_encoder_rev : teeth of the even wheel (or grid) per revolution of the encoder
+    ratio : encoder revolutions per crank revolution
+    revs_per_cycle : crank revolutions after which the in-cycle motion repeats, 1 or 2
+    noise_s : standard deviation of one pulse time by sampling, s; what of it does not average out, because the shaft
+        keeps step with the samples, is counted as error of every line; 0 where it is not known
     """
-    records = []
-    for shaft in shafts:
-        swing = speed_swing(shaft)
-        if swing is None:
-            continue
-        sure = swing.told & ~np.isin(swing.orders, list(of_encoder))
-        for place in sorted(np.flatnonzero(sure).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
-            order, amplitude_rpm = float(swing.orders[place]), float(swing.amplitude_rpm[place])
-            off_deg = np.degrees(amplitude_rpm / swing.speed_rpm / order)
-            records.append(
-                SpeedSwingFinding(
-                    recording=printable(shaft.attrs["recording"]),
-                    speed_rpm=swing.speed_rpm,
-                    order=order,
-                    amplitude_rpm=amplitude_rpm,
-                    may_be_encoder=bool(off_deg <= encoder_deg.get(order, -np.inf)),
-                    steady_rpm=float(swing.steady_rpm[place]),
-                )
-            )
-    return tuple(records)
+    lines = teeth_per_encoder_rev
+    stop = int(np.searchsorted(tooth, tooth[0] + MOST_TEETH))
+    time_s, tooth = time_s[:stop], tooth[:stop]
+    period = lines * _period_revs(ratio, revs_per_cycle)
+    place = tooth - tooth[0]
+    tooth_s = float((time_s[-1] - time_s[0]) / place[-1])
+    rest = (time_s - time_s[0]) - tooth_s * place
+    if place[-1] + 1 > place.size:
+        rest = np.interp(np.arange(place[-1] + 1), place, rest)
+    deviation, first, rev_s = _deviation(rest, tooth_s, lines, period)
+    n_periods = deviation.size // period
+    if n_periods < FEWEST_PERIODS:
+        return None
+    used = n_periods * period
+    by_period = (deviation[:used] / rev_s[:used]).reshape(n_periods, period)
+    shift = (int(tooth[0]) + first) % lines
+    present = np.zeros(rest.size, dtype=np.bool_)
+    present[place] = True
+    _fill(by_period, present[first : first + used])
+    mean_rev_s = math.sqrt(float(np.mean(rev_s[:used] ** 2)))
+    smooth_s = rest[first : first + used] - deviation[:used] + tooth_s * np.arange(used)
+    steps = max(noise_s, _tick_s(time_s) / math.sqrt(12.0))
+    fixed = _fixed_noise(smooth_s.reshape(n_periods, period), by_period, steps, mean_rev_s)
+    return _averaged(by_period, shift, lines, fixed)
 
 
-def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, Complexes] | None:
-    """Orders, mean speed [rpm] (cycles,) and complex amplitude [rpm] (cycles, orders) in each whole cycle of ``shaft``.
+def _period_revs(ratio: float, revs_per_cycle: int) -> int:
+    """Encoder revolutions in which the engine makes whole cycles; 1 where there is no such small number."""
+    cycles = np.arange(1, LONGEST_PERIOD_REVS + 1) / (ratio * revs_per_cycle)
+    whole = np.flatnonzero(np.abs(cycles - np.rint(cycles)) < 1e-9)
+    return int(whole[0]) + 1 if whole.size else 1
 
-    None without pulses, in fewer than FEWEST_CYCLES, and where a standstill or a reversal leaves no angle that grows.
-    Phases are from angle 0. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to
-    HIGHEST, to those that the knots resolve, and to the cut-off of the smoother where it says one.
+
+def _deviation(rest_s: Floats, tooth_s: float, lines: int, period: int) -> tuple[Floats, int, Floats]:
+    """What is left [s] of twice subtracting the mean over a revolution, the tooth of its first value, revolution times.
+
+    ``rest_s``: (teeth,), times less those of even rotation at ``tooth_s``. The revolution time [s] of each value is the
+    mean over the ``period`` around it.
     """
-    time, angle, speed = (shaft.variables[name].values for name in ("time", "crank_angle", "speed"))
-    known = np.isfinite(time) & np.isfinite(angle) & np.isfinite(speed)
-    if not known.all():
-        time, angle, speed = time[known], angle[known], speed[known]
-    revs = int(shaft.attrs.get("revs_per_cycle", 1))
-    if float(shaft.attrs.get("n_pulses", 0)) <= 0 or len(angle) < 3 or not (np.diff(angle) > 0.0).all():
-        return None
-    cut_off = float(shaft.attrs.get("cut_off_order", np.inf))
-    cycles = int((angle[-1] - angle[0]) / revs + 1e-9)
-    per_rev = (len(angle) - 1) / (angle[-1] - angle[0])
-    highest = min(HIGHEST, per_rev / KNOTS_PER_PERIOD, cut_off if cut_off > 0.0 else np.inf)
-    orders = np.arange(1, int(highest * revs + 1e-9) + 1) / revs
-    if cycles < FEWEST_CYCLES or not orders.size:
-        return None
-    steps = int(np.ceil(2.0 * max(per_rev, 2.0 * HIGHEST) * revs))
-    place = (np.arange(steps) + 0.5) / steps * revs
-    turn = 2.0 / steps * np.exp(-2j * np.pi * np.outer(angle[0] + place, orders))
-    means, lines = np.empty(cycles), np.empty((cycles, len(orders)), dtype=np.complex128)
-    for part in np.array_split(np.arange(cycles), 1 + cycles * steps // MOST_VALUES):
-        begin = angle[0] + revs * part
-        near = slice(*(np.searchsorted(angle, [begin[0], begin[-1] + revs]) + np.array([-1, 1])).clip(0))
-        value = np.interp(begin[:, None] + place, *_between(time[near], angle[near], speed[near]))
-        means[part] = value.mean(axis=1)
-        lines[part] = (value - means[part, None]) @ turn
-    # from cycle to cycle: a slope fitted within one would take the swing at its own order along
-    return orders, means, lines - np.gradient(means)[:, None] * ((place / revs - 0.5) @ turn)
+    half = lines // 2
+    once = rest_s[half : rest_s.size - half] - _revolution_mean(rest_s, lines)
+    twice = once[half : once.size - half] - _revolution_mean(once, lines)
+    before = (period + 1) // 2
+    skip = max(0, before - 2 * half)
+    at = 2 * half + skip
+    n = max(0, min(twice.size - skip, rest_s.size - at - (period - before)))
+    long = rest_s[at + period - before : at + period - before + n] - rest_s[at - before : at - before + n]
+    return twice[skip : skip + n], at, (long + period * tooth_s) * (lines / period)
 
 
-def swing_remarks(shaft: xr.Dataset, settings: ShaftSettings) -> list[Remark]:
-    """Remark where the speed of ``shaft`` swings at high orders by more than ``settings`` say a shaft can."""
-    swing = speed_swing(shaft)
-    if swing is None:
-        return []
-    high = swing.told & (swing.orders > HIGHEST_MOTION)
-    share = 100.0 * swing.steady_rpm / swing.speed_rpm
-    beyond = float(np.sqrt(np.sum(np.square(share[high]))))
-    if not beyond > settings.largest_swing_percent:
-        return []
-    total, low = (float(np.sqrt(np.sum(np.square(share[kept])))) for kept in (swing.told, swing.told & ~high))
-    detail = (
-        f"the speed within the revolution swings by {total:.2g} %, of that {beyond:.2g} % above order "
-        f"{HIGHEST_MOTION:g}: more than a shaft can; teeth of the wheel that sit wrongly? What the shaft swings is "
-        f"between 0 and {low:.2g} %; orders beside strong ones may be made by it. Record more revolutions to tell"
-    )
-    return [("encoder_tooth_errors_likely", "suspect", detail)]
+def _tick_s(time_s: Floats) -> float:
+    """Tick [s] of the clock that all ``time_s`` are counts of; 0 where none is seen."""
+    step = np.abs(np.diff(time_s[:SOME_TIMES], n=2))
+    resolution = 4.0 * float(np.spacing(np.abs(time_s[:SOME_TIMES]).max()))
+    step = step[step > resolution]
+    if step.size < FEWEST_STEPS:
+        return 0.0
+    tick = float(step.min())
+    counts = step / tick
+    return tick if np.abs(counts - np.rint(counts)).max() < COUNT_SLACK else 0.0
 
 
-def _of_teeth(shaft: xr.Dataset, orders: Floats) -> Floats:
-    """Share of the speed that the teeth of the wheel of ``shaft`` may make swing at each of ``orders``, at most."""
-    doubt, every = float(shaft.attrs.get(TOOTH_DOUBT, 0.0)), float(shaft.attrs.get(TOOTH_ORDER, 0.0))
-    if not every > 0.0:
-        return np.zeros(len(orders))
-    of_wheel = np.abs(orders / every - np.round(orders / every)) < WHOLE
-    return np.where(of_wheel, 2.0 * np.pi * orders * doubt, 0.0)
+def _revolution_mean(value: Floats, lines: int) -> Floats:
+    """Mean over the revolution around each value, the first and last ``lines // 2`` of them left out."""
+    if value.size <= lines:
+        return np.empty(max(0, value.size - 2 * (lines // 2)))
+    total = np.concatenate([np.zeros(1), np.cumsum(value)])
+    over: Floats = (total[lines:] - total[:-lines]) / lines
+    return over if lines % 2 else 0.5 * (over[:-1] + over[1:])
 
 
-def _between(time: Floats, angle: Floats, speed: Floats) -> tuple[Floats, Floats]:
-    """Angle (rev) and speed (rpm) also between the knots, by the cubics that the angle follows there."""
-    step, turned, hertz = np.diff(time)[:, None], np.diff(angle)[:, None], speed / 60.0
-    at, first, last = np.arange(BETWEEN) / BETWEEN, hertz[:-1, None], hertz[1:, None]
-    moved = turned * (3 * at**2 - 2 * at**3) + step * (first * at * (1 - at) ** 2 - last * at**2 * (1 - at))
-    rate = turned / step * 6 * at * (1 - at) + first * (1 - at) * (1 - 3 * at) - last * at * (2 - 3 * at)
-    return np.append((angle[:-1, None] + moved).ravel(), angle[-1]), np.append(60.0 * rate.ravel(), speed[-1])
+def _fill(by_period: Floats, present: Bools) -> None:
+    """Give teeth without a pulse, in ``by_period`` (period, tooth), the mean of their line in its place."""
+    if present.all():
+        return
+    there = present.reshape(by_period.shape)
+    count = there.sum(axis=0)
+    mean = np.where(there, by_period, 0.0).sum(axis=0) / np.maximum(count, 1)
+    column = np.arange(mean.size)
+    known = count > 0
+    mean = np.interp(column, column[known], mean[known], period=mean.size)
+    by_period[~there] = np.broadcast_to(mean, by_period.shape)[~there]
+
+
+def _fixed_noise(smooth_s: Floats, by_period: Floats, noise_s: float, rev_s: float) -> float:
+    """Variance [rev²] of a line by sampling that is the same in every period, so that no mean takes it away.
+
+    Sampling rounds a time by a sawtooth of its place between two samples; harmonic k of it averages out as far as the
+    places of the line, from period to period, do. ``smooth_s``: (period, tooth), s, times without the pattern.
+    ``by_period``: as long, rev, deviations. ``noise_s``: standard deviation of the rounding; ``rev_s``: a revolution.
+    """
+    if not noise_s > 0.0:
+        return 0.0
+    n_periods, period = smooth_s.shape
+    some = smooth_s[:, :: max(1, period // SOME_LINES)]
+    turn = np.exp(2j * np.pi / (noise_s * math.sqrt(12.0)) * some)
+    harmonic, shares = np.ones_like(turn), 1.0 / np.arange(1, SAWTOOTH_HARMONICS + 1) ** 2
+    kept = 0.0
+    for share in shares / shares.sum():
+        harmonic *= turn
+        together = float(np.mean(np.abs(harmonic.mean(axis=0)) ** 2))
+        kept += float(share) * max(0.0, together - 1.0 / n_periods) / (1.0 - 1.0 / n_periods)
+    # jitter, and in-cycle motion that is not the same each time, show as scatter: so much is not fixed
+    steps = np.diff(by_period, axis=1)
+    seen = float(steps.var(axis=0, ddof=1).mean()) / 2.0
+    rounding = (noise_s / rev_s) ** 2
+    return GATHERED * max(0.0, min(kept * rounding, rounding - seen))
+
+
+def _averaged(by_period: Floats, shift: int, lines: int, fixed: float) -> LinePattern:
+    """The pattern of deviations [rev] ``by_period`` (period, tooth of the period), whose first tooth is line ``shift``.
+
+    Errors by order come from the scatter between groups of periods: slow motion, which falls on low orders, shows
+    there as it should. ``fixed`` [rev²] is the variance of a line that does not show as scatter.
+    """
+    n_batches = n_periods = by_period.shape[0]
+    if n_periods > MOST_BATCHES:  # equal groups that leave the fewest periods over
+        n_batches = min(range(MOST_BATCHES, MOST_BATCHES // 2 - 1, -1), key=lambda count: n_periods % count)
+    size = n_periods // n_batches
+    revs = by_period.shape[1] // lines
+    batch = by_period[: n_batches * size].reshape(n_batches, size * revs, lines).mean(axis=1)
+    batch = np.roll(batch, shift, axis=1)
+    batch -= batch.mean(axis=1, keepdims=True)
+    harmonic = np.fft.rfft(batch, axis=1) * (2.0 / lines)
+    mean = harmonic.mean(axis=0)
+    scatter = np.sum(np.abs(harmonic - mean) ** 2, axis=0) / (n_batches * (n_batches - 1))
+    # few groups tell the scatter of one order roughly, of many well: its squares are as chi-squared (Wilson, Hilferty
+    # 1931), and a mean over its estimated error as Student's t, whose variance is larger
+    freedom = 2.0 * (n_batches - 1)
+    usual = float(np.median(scatter[1:])) / (1.0 - 2.0 / (9.0 * freedom)) ** 3
+    variance = np.maximum(scatter, usual) * (freedom / (freedom - 2.0)) + 4.0 * fixed / lines
+    n_revs = n_batches * size * revs
+    cycle = _cycle_amplitudes(np.roll(by_period.mean(axis=0), shift), lines)
+    return LinePattern(lines, mean, variance, cycle, revs, n_revs)
+
+
+def _cycle_amplitudes(value: Floats, lines: int) -> Complexes:
+    """Complex amplitudes of the low orders of ``value`` (tooth of the period,), as before the means were subtracted."""
+    revs = value.size // lines
+    spectrum = np.fft.rfft(value)[: min(LOW_ORDERS, lines // 4) * revs + 1] * (2.0 / value.size)
+    angle = np.pi * np.arange(1, spectrum.size) / revs
+    mean = np.sin(angle) / (lines * np.sin(angle / lines)) * (1.0 if lines % 2 else np.cos(angle / lines))
+    gain = (1.0 - mean) ** 2
+    spectrum[0] = 0.0
+    spectrum[1:] = np.where(gain > LEAST_GAIN, spectrum[1:] / np.maximum(gain, LEAST_GAIN), 0.0)
+    return spectrum

@@ -59,6 +59,11 @@ class SpeedEvidence:
     moving: Floats
     frames_per_knot: float
 
+    @property
+    def step(self) -> float:
+        """Step of the speeds in the logarithm."""
+        return float(np.log(self.speed_hz[1] / self.speed_hz[0]))
+
 
 def tooth_odds(
     signals: Floats,
@@ -96,19 +101,19 @@ def tooth_odds(
         frames = _Frames(signals, rate_hz, length_s=revs / speed[states.start], top_hz=speed[states][-1] * order[-1])
         at_frames = _log_odds(frames, speed[states], order, weight, settings.vibration_slew_per_s)
         for target, values in zip((every, moving), at_frames, strict=True):
-            target[:, states] = _between(time_s, frames.time_s, values)
+            target[:, states] = _between(time_s, frames.time_s, values.T).T
     spacing = duration / time_s.size
     worth = min(1.0, 1.5 * spacing / (revs / math.sqrt(low * high)))
     return SpeedEvidence(time_s, speed, every, moving, worth)
 
 
 def _between(time_s: Floats, frame_s: Floats, values: Floats) -> Floats:
-    """``values`` (frames, …) at ``time_s``, linear between the frames' times ``frame_s``, constant beyond them."""
+    """``values`` (…, frames) at ``time_s``, linear between the frames' times ``frame_s``, constant beyond them."""
     if frame_s.size == 1:
-        return np.repeat(values, time_s.size, axis=0)
+        return np.repeat(values, time_s.size, axis=-1)
     k = np.clip(np.searchsorted(frame_s, time_s) - 1, 0, frame_s.size - 2)
-    share = np.clip((time_s - frame_s[k]) / (frame_s[k + 1] - frame_s[k]), 0.0, 1.0)[:, None]
-    between: Floats = (1.0 - share) * values[k] + share * values[k + 1]
+    share = np.clip((time_s - frame_s[k]) / (frame_s[k + 1] - frame_s[k]), 0.0, 1.0)
+    between: Floats = (1.0 - share) * values[..., k] + share * values[..., k + 1]
     return between
 
 
@@ -187,11 +192,7 @@ def _floors(power: Floats, block: int) -> tuple[Floats, Floats]:
     median = np.median(whole, axis=-1) / math.log(2.0)
     median = np.maximum(median, 1e-12 * power.max(axis=(1, 2), keepdims=True) + 1e-300)
     at = (np.arange(power.shape[-1]) + 0.5) / block - 0.5
-    k = np.clip(at.astype(np.int64), 0, max(0, n_blocks - 2))
-    share = np.clip(at - k, 0.0, 1.0)
-    log_median = np.log(median)
-    after = np.minimum(k + 1, n_blocks - 1)
-    return np.exp((1.0 - share) * log_median[..., k] + share * log_median[..., after]), usual
+    return np.exp(_between(at, np.arange(n_blocks, dtype=np.float64), np.log(median))), usual
 
 
 def _odds_table() -> Floats:
@@ -262,15 +263,6 @@ FRAMES_WORTH = 3
 PROMINENCE = (1.0, 2.0)
 
 
-@dataclass(frozen=True)
-class FamilyEvidence:
-    """Log odds (ratios,) of each fundamental against none, and of single frames (frames, ratios) at ``time_s``."""
-
-    log_odds: Floats
-    time_s: Floats
-    of_frames: Floats
-
-
 def family_evidence(
     signals: Floats,
     rate_hz: float,
@@ -279,8 +271,10 @@ def family_evidence(
     ratio: Floats,
     order: Floats,
     weight: Floats,
-) -> FamilyEvidence:
-    """Log odds of the fundamentals at ``ratio`` times the speed of ``knots``, all from the same order spectra.
+) -> tuple[Floats, Floats, Floats]:
+    """Log odds (ratios,) of the fundamentals at ``ratio`` times the speed of ``knots``, from the same order spectra.
+
+    Beside them the times [s] (frames,) of these spectra, and the log odds of single frames (frames, ratios).
 
     Parameters
     ----------
@@ -313,7 +307,7 @@ def family_evidence(
     of_mean = np.full((1, ratio.size), -np.inf)
     best_combs(peaks, np.ones_like(peaks), seen.size, (seen == 0).astype(np.float64), place, weight, ODDS, of_mean)
     total = (1.0 / 3.0) * (of_mean[0] + min(FRAMES_WORTH, times.shape[1]) * np.mean(of_frames, axis=0))
-    return FamilyEvidence(total, time_s, of_frames)
+    return total, time_s, of_frames
 
 
 def _order_power(signals: Floats, rate_hz: float, knots: AngleKnots, revs: float) -> tuple[Floats, Floats]:

@@ -81,13 +81,11 @@ def find_pattern(time_s: Floats, *, index_time_s: Floats | None = None) -> Found
     teeth = _repeating(block)
     turns = teeth and float(np.ptp(block)) * STANDSTILL_RPM / 60.0 < (block.size - 1) / teeth
     pattern = _pattern(block, teeth) if turns else None
-    if pattern is not None and per_index and per_index % teeth == 0:
-        pattern = _repeated(pattern, per_index // teeth)
-    elif pattern is None and per_index:
-        alike = float(np.mean(np.abs(between - per_index) <= 1))
-        return FoundPattern(pattern_of(f"{per_index}"), between.size, alike, True)
     if pattern is None:
-        return None
+        alike = float(np.mean(np.abs(between - per_index) <= 1)) if per_index else 0.0
+        return FoundPattern(pattern_of(f"{per_index}"), between.size, alike, True) if per_index else None
+    if per_index and per_index % teeth == 0:
+        pattern = _repeated(pattern, per_index // teeth)
     places = np.array(pattern.angles_deg) / 360.0
     widest = float(np.diff(places, append=1.0).max() * places.size)
     part, _ = running_part(time_s, pulses_per_rev=places.size, gap=widest)
@@ -186,10 +184,8 @@ def _of_whole(whole: Floats) -> ToothPattern:
     if (whole > 1.0).sum() == 1:
         return ToothPattern(f"{total}-{int(whole.max()) - 1}", angles)
     for name in known_names():
-        known = pattern_of(name)
-        spans = np.diff(known.angles_deg, append=360.0)
-        if spans.size == whole.size and _rotation_scatter(whole / total, spans / 360.0) < 1e-6:
-            return known
+        if _named_scatter(whole / total, name) < 1e-6:
+            return pattern_of(name)
     gaps = "-".join(str(int(pitch) - 1) for pitch in whole if pitch > 1.0)
     return ToothPattern(f"{total}-{gaps} (unnamed)", angles)
 
@@ -198,18 +194,14 @@ def _scatter(share: Floats, other: Floats) -> float:
     return float(np.sqrt(np.mean(np.log(share / other) ** 2)))
 
 
-def _rotation_scatter(share: Floats, other: Floats) -> float:
-    return min(_scatter(share, np.roll(other, at)) for at in range(other.size))
-
-
 def _named_scatter(share: Floats, name: str) -> float:
     """Scatter of the log intervals about those of a named wheel, at its best rotation; infinite for another count."""
     known = pattern_of(name)
     spans = np.diff(known.angles_deg, append=360.0) / 360.0
-    part = spans.size // known.repeats
-    if share.size != part:
+    own = known.repeats * spans[: spans.size // known.repeats]
+    if share.size != own.size:
         return float("inf")
-    return _rotation_scatter(share, spans[:part] * known.repeats)
+    return min(_scatter(share, np.roll(own, at)) for at in range(own.size))
 
 
 def _repeated(pattern: ToothPattern, times: int) -> ToothPattern:
@@ -253,6 +245,11 @@ class Wheel:
         """Steps from each tooth to the next."""
         return np.diff(self.places, append=self.grid)
 
+    @property
+    def widest_gap(self) -> float:
+        """Widest distance of two teeth over the mean one."""
+        return float(self.spans.max() * self.places.size / self.grid)
+
     def angle_of(self, tooth: Ints) -> Floats:
         """Where ``tooth`` (numbers on the grid) stand, in steps of it, with their offsets."""
         offset = np.zeros(self.grid)
@@ -260,15 +257,18 @@ class Wheel:
         return np.asarray(tooth + offset[tooth % self.grid])
 
 
-def wheel_of(pulses_per_rev: int, missing_teeth: int, tooth_angles_deg: Sequence[float] | None) -> Wheel:
-    """The wheel of ``pulses_per_rev`` even teeth less ``missing_teeth``, or the one of ``tooth_angles_deg``."""
+def wheel_of(pulses_per_rev: int, missing_teeth: int = 0, *, tooth_angles_deg: Sequence[float] | None = None) -> Wheel:
+    """The wheel of ``pulses_per_rev`` even teeth less ``missing_teeth`` in a gap, or the one of ``tooth_angles_deg``.
+
+    ``pulses_per_rev`` is 1 or more; ``tooth_angles_deg`` [deg] are 0 and rising, the pulses of one encoder revolution.
+    """
     if tooth_angles_deg is None:
         name = f"{pulses_per_rev}-{missing_teeth}" if missing_teeth else f"{pulses_per_rev}"
         return Wheel(pulses_per_rev, np.arange(pulses_per_rev - missing_teeth), np.zeros(1), 1, name)
-    grid, places, offsets = grid_of(tooth_angles_deg)
     pattern = ToothPattern("measured", tuple(tooth_angles_deg))
     if pattern.even is not None:
-        return wheel_of(*pattern.even, None)
+        return wheel_of(*pattern.even)
+    grid, places, offsets = grid_of(pattern.angles_deg)
     name = next((name for name in known_names() if pattern_of(name).angles_deg == pattern.angles_deg), pattern.name)
     return Wheel(grid, np.array(places), np.array(offsets), pattern.repeats, name)
 

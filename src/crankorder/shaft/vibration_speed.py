@@ -23,7 +23,8 @@ from crankorder.quantities import Floats, Ints
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, time_at
 from crankorder.shaft.pulses import Remark
-from crankorder.shaft.tooth_harmonics import FamilyEvidence, SpeedEvidence, family_evidence, order_spectra, tooth_odds
+from crankorder.shaft.tooth_harmonics import SpeedEvidence, family_evidence, order_spectra, tooth_odds
+from crankorder.shaft.wheel import wrapped
 
 
 def likeliest_run(log_odds: Floats, jump: int, cost: float) -> Ints:
@@ -134,19 +135,16 @@ class Tie:
 
 @dataclass(frozen=True)
 class VibrationSpeed:
-    """Crank speed (knots,) at ``time_s`` [s], as the vibration tells it.
+    """Crank angle and speed on ``knots``, as the vibration tells them.
 
-    ``confidence`` (0…1 per knot) is the probability that the speed is within 2 % of ``speed_rpm``, by the model of
-    lines and noise; ``ties`` are other fundamentals that explain the lines nearly as well, best first; ``knots`` the
-    crank angle, whose slope the speed is.
+    ``confidence`` (0…1 per knot) is the probability that the speed is within 2 % of that told, by the model of lines
+    and noise; ``ties`` are other fundamentals that explain the lines nearly as well, best first.
     """
 
-    time_s: Floats
-    speed_rpm: Floats
+    knots: AngleKnots
     confidence: Floats
     ties: list[Tie]
     remarks: list[Remark]
-    knots: AngleKnots
 
 
 def speed_from_vibration(
@@ -188,34 +186,37 @@ def speed_from_vibration(
 
     def explained(log_odds: Floats, path: Ints) -> _Run:
         """The run ``path``, read between speeds of the grid, and what fundamental explains its lines."""
-        speed_hz = evidence.speed_hz[path] * np.exp(_step(evidence) * _parabolic(log_odds, path))
+        speed_hz = evidence.speed_hz[path] * np.exp(evidence.step * _parabolic(log_odds, path))
         start = _angle_of(evidence.time_s, speed_hz, signals.shape[1] / rate_hz)
         knots = phase_corrected(signals, rate_hz, start, order)
         ratio = _possible_ratios(knots.speed_rpm / 60.0, range_hz)
         family = family_evidence(signals, rate_hz, knots, ratio=ratio, order=order, weight=weight)
-        return _Run(log_odds, path, knots, ratio, family)
+        return _Run(log_odds, path, knots, ratio, *family)
 
     run = explained(*_likely_run(evidence, settings))
     path = _mended_path(run, evidence, settings)
     if path is not None:
         run = explained(run.log_odds, path)
-    ratio, chosen = run.ratio, run.chosen
-    share = np.exp(run.family.log_odds - run.best)
+    ratio, chosen = run.ratio, int(np.argmax(run.ratio_odds))
+    best = float(run.ratio_odds[chosen])
+    share = np.exp(run.ratio_odds - best)
     ties = [
         Tie(float(ratio[i] / ratio[chosen]), float(share[i]))
         for i in np.argsort(-share, kind="stable")
         if i != chosen and share[i] >= settings.vibration_tie
     ]
     # against the other fundamentals, and against no shaft at all
-    others = float(share.sum()) + math.exp(-run.best)
-    confidence = _confidence(evidence, run.log_odds, run.path, ratio, settings) / others
+    others = float(share.sum()) + math.exp(-best)
+    offsets = np.round(np.log(ratio) / evidence.step).astype(np.int64)
+    near, odds = math.ceil(math.log1p(SAME_SPEED) / evidence.step), run.log_odds * np.float32(evidence.frames_per_knot)
+    confidence = run_probability(odds, run.path, offsets, *_transition(evidence, settings), near) / others
     knots, times = run.knots, float(ratio[chosen])
     if times != 1.0:
         scaled = replace(knots, angle_rev=times * knots.angle_rev, speed_rpm=times * knots.speed_rpm)
         knots = phase_corrected(signals, rate_hz, scaled, order)
     confidence = np.interp(knots.time_s, evidence.time_s, confidence)
     remarks = _doubts(knots.time_s, confidence, ties)
-    return VibrationSpeed(knots.time_s, knots.speed_rpm, confidence, ties, remarks, knots)
+    return VibrationSpeed(knots, confidence, ties, remarks)
 
 
 def trusted_angle(speed: VibrationSpeed) -> AngleKnots:
@@ -241,17 +242,6 @@ def _possible_ratios(speed_hz: Floats, range_hz: tuple[float, float]) -> Floats:
     return np.array(
         [1.0, *(r for r in TIE_RATIOS if r * low * slack >= range_hz[0] and r * high <= range_hz[1] * slack)]
     )
-
-
-def _confidence(
-    evidence: SpeedEvidence, log_odds: Floats, path: Ints, ratio: Floats, settings: ShaftSettings
-) -> Floats:
-    """Probability (knots,) that the speed is one of those at ``ratio`` times that of ``path``."""
-    step = _step(evidence)
-    offsets = np.round(np.log(ratio) / step).astype(np.int64)
-    near = math.ceil(math.log1p(SAME_SPEED) / step)
-    worth = np.float32(evidence.frames_per_knot)
-    return run_probability(log_odds * worth, path, offsets, *_transition(evidence, settings), near)
 
 
 def _checked(signals: Floats) -> Floats:
@@ -282,37 +272,27 @@ def _range_hz(
     return low, high
 
 
-def _step(evidence: SpeedEvidence) -> float:
-    """Step of the grid of speeds in the logarithm."""
-    return float(np.log(evidence.speed_hz[1] / evidence.speed_hz[0]))
-
-
 def _transition(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[int, float]:
     """Most steps of the grid between knots, and the log-probability cost of one step squared."""
     spacing = float(evidence.time_s[1] - evidence.time_s[0]) if evidence.time_s.size > 1 else 1.0
-    steps = settings.vibration_slew_per_s * spacing / _step(evidence)
+    steps = settings.vibration_slew_per_s * spacing / evidence.step
     return max(1, math.ceil(steps)), 0.5 / max(0.5, (USUAL_SLEW * steps)) ** 2
 
 
 @dataclass(frozen=True)
 class _Run:
-    """A run of speeds ``path``, its angle, and how well fundamentals at ``ratio`` to it explain it."""
+    """A run of speeds ``path``, its angle, and how well fundamentals at ``ratio`` to it explain it.
+
+    ``ratio_odds`` (ratios,): their log odds; ``frame_odds`` (frames, ratios): those of single frames at ``frame_s``.
+    """
 
     log_odds: Floats
     path: Ints
     knots: AngleKnots
     ratio: Floats
-    family: FamilyEvidence
-
-    @property
-    def chosen(self) -> int:
-        """Which ratio is the likeliest."""
-        return int(np.argmax(self.family.log_odds))
-
-    @property
-    def best(self) -> float:
-        """The log odds of that."""
-        return float(self.family.log_odds[self.chosen])
+    ratio_odds: Floats
+    frame_s: Floats
+    frame_odds: Floats
 
 
 def _likely_run(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[Floats, Ints]:
@@ -333,7 +313,7 @@ def _likely_run(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[Float
 
 def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) -> Ints | None:
     """The likeliest run beside the fundamental that each stretch of ``run`` asks for; None where they ask for one."""
-    log_odds = run.family.of_frames
+    log_odds = run.frame_odds
     came = np.zeros(log_odds.shape, dtype=np.int64)
     total, stay = log_odds[0], np.arange(run.ratio.size)
     for i in range(1, len(log_odds)):
@@ -345,9 +325,8 @@ def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) ->
         of_frame[i - 1] = came[i, of_frame[i]]
     if np.ptp(of_frame) == 0:
         return None
-    at_s = run.family.time_s
-    wanted = np.log(np.interp(at_s, run.knots.time_s, run.knots.speed_rpm) / 60.0 * run.ratio[of_frame])
-    beside = np.log(evidence.speed_hz) - np.interp(evidence.time_s, at_s, wanted)[:, None]
+    wanted = np.log(np.interp(run.frame_s, run.knots.time_s, run.knots.speed_rpm) / 60.0 * run.ratio[of_frame])
+    beside = np.log(evidence.speed_hz) - np.interp(evidence.time_s, run.frame_s, wanted)[:, None]
     near = np.where(np.abs(beside) <= MENDED_REACH, run.log_odds, np.float32(-FAR_ODDS))
     return likeliest_run(near * np.float32(evidence.frames_per_knot), *_transition(evidence, settings))
 
@@ -359,8 +338,7 @@ def _parabolic(log_odds: Floats, path: Ints) -> Floats:
     low, mid, high = (log_odds[knots, at + s].astype(np.float64) for s in (-1, 0, 1))
     bend = low - 2.0 * mid + high
     offset = np.where(bend < 0.0, 0.5 * (low - high) / np.where(bend < 0.0, bend, -1.0), 0.0)
-    result: Floats = np.where(at == path, np.clip(offset, -0.5, 0.5), 0.0)
-    return result
+    return np.asarray(np.where(at == path, np.clip(offset, -0.5, 0.5), 0.0))
 
 
 def _angle_of(time_s: Floats, speed_hz: Floats, end_s: float) -> AngleKnots:
@@ -404,7 +382,9 @@ def _corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) 
     gain, hop = 2.0 * np.pi * order, float(centre[1] - centre[0])
     change, vote = _outvoted(turn, weight, gain, hop)
     # what each order alone would add to the angle, about the middle
-    own = np.vstack((np.zeros(order.size), np.cumsum(_wrapped(turn - change[:, None] * gain) / gain, axis=0)))
+    own = np.vstack(
+        (np.zeros(order.size), np.cumsum(wrapped(turn - change[:, None] * gain, 2.0 * np.pi) / gain, axis=0))
+    )
     own -= own[centre.size // 2]
     trust = np.vstack((vote[:1], vote)) * gain**2
     share = trust / np.maximum(trust.sum(axis=1, keepdims=True), 1e-300)
@@ -428,12 +408,6 @@ def _corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) 
     speed_rpm = 60.0 * np.gradient(true, time_s)
     error = np.hypot(np.pad(error, ends, "edge"), usual * beyond)
     return AngleKnots(time_s, true, speed_rpm, error, 1.0 / FRAME_REVS, float("nan"))
-
-
-def _wrapped(phase: Floats) -> Floats:
-    """``phase`` [rad] within half a turn of 0."""
-    wrapped: Floats = np.angle(np.exp(1j * phase))
-    return wrapped
 
 
 def _turns(
@@ -469,7 +443,7 @@ def _outvoted(turn: Floats, weight: Floats, gain: Floats, hop: float) -> tuple[F
     prior = (COARSE_ERROR * hop) ** -2.0
     vote, change = weight, np.zeros(len(turn))
     for _ in range(4):
-        rest = _wrapped(turn - change[:, None] * gain)
+        rest = wrapped(turn - change[:, None] * gain, 2.0 * np.pi)
         vote = weight / (1.0 + rest**2 * weight / 4.0)
         lack = np.sum(vote * gain * rest, axis=1) - prior * change
         change = change + lack / (np.sum(vote * gain**2, axis=1) + prior)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,8 +13,8 @@ from numba import njit
 from crankorder.errors import InputError
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.pulses import Remark
-from crankorder.shaft.repair import listed_times, running_part
+from crankorder.shaft.pulses import FEWEST_SAMPLES_PER_TOOTH, Remark, listed_times
+from crankorder.shaft.repair import running_part
 from crankorder.shaft.uneven_wheel import (
     WHOLE_TEETH,
     Wheel,
@@ -31,38 +29,32 @@ from crankorder.shaft.uneven_wheel import (
 
 
 def at_index(
-    time_s: Floats,
-    tooth: Ints,
-    index_time_s: Floats,
-    wanted: tuple[float, float],
-    flags: list[Remark],
-    *,
-    renumber: bool,
+    time_s: Floats, tooth: Ints, index_time_s: Floats, wheel: Wheel, ratio: float, flags: list[Remark]
 ) -> tuple[Ints, float, float]:
     """Teeth renumbered by the index marks, the tooth number of a mark, and the teeth between marks.
 
-    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers. ``index_time_s``: (marks,), s. ``wanted``: counts of
-    teeth per mark that are allowed, of a mark on the encoder and on the crank. ``flags``: takes the remarks.
-    ``renumber``: whether a count that slips for good is put right, as it must be where the teeth look all alike.
-    Raises InputError where another count is measured than is wanted.
+    A count that slips for good is put right where the teeth look all alike.
+
+    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers on ``wheel``, which turns ``ratio`` times per crank
+    revolution. ``index_time_s``: (marks,), s, of a mark on either shaft. ``flags``: takes the remarks. Raises
+    InputError where another count of teeth per mark is measured.
     """
+    wanted, renumber = (wheel.grid, wheel.grid * ratio), wheel.even
     marks = index_time_s[(index_time_s >= time_s[0]) & (index_time_s <= time_s[-1])]
     if marks.size == 0:
         flags.append(("no_index", "suspect", "no index mark within the pulses: the phase has no reference"))
-        return tooth, float("nan"), wanted[0]
+        return tooth, float("nan"), float(wanted[0])
     place = np.interp(marks, time_s, tooth)
     between = np.round(np.diff(place))
-    period = wanted[0]
+    period = float(wanted[0])
     if between.size >= 2:
         values, counts = np.unique(between, return_counts=True)
         usual = float(values[np.argmax(counts)])
         period = min(wanted, key=lambda count: abs(count - usual))
         if usual != round(period) and counts.max() > 0.5 * between.size:
-            raise InputError(
-                f"{usual:.0f} pulses per index measured, {period:g} configured",
-                place="encoder.pulses_per_rev",
-                remedy="Mend pulses_per_rev (or ratio) in run.toml",
-            )
+            problem = f"{usual:.0f} pulses per index measured, {period:g} configured"
+            remedy = "Mend pulses_per_rev (or ratio) in run.toml"
+            raise InputError(problem, place="encoder.pulses_per_rev", remedy=remedy)
     anchor, slip = _slips(place, period)
     renumbered, slipped, odd = _unslipped(tooth, np.searchsorted(time_s, marks), slip)
     odd |= np.append((np.diff(place) < 0.25 * period) & (np.diff(slip) == 0), False)
@@ -161,11 +153,9 @@ class NumberedTeeth:
 
 def number_teeth(
     time_s: Floats,
+    wheel: Wheel,
     *,
-    pulses_per_rev: int,
     settings: ShaftSettings,
-    missing_teeth: int = 0,
-    tooth_angles_deg: Sequence[float] | None = None,
     index_time_s: Floats | None = None,
     ratio: float = 1.0,
     noise_s: float = 0.0,
@@ -176,11 +166,9 @@ def number_teeth(
     Parameters
     ----------
     time_s : (pulses,), s, not decreasing
-    pulses_per_rev : teeth of the full wheel per encoder revolution, 1 or more; not looked at with ``tooth_angles_deg``
+    wheel : that of the encoder, as :func:`wheel_of` gives it
     settings : ``double_pulse_ratio`` and ``lost_pulse_ratio`` bound a plausible interval of an even wheel;
         ``max_repaired_fraction`` is where repair ends and refusal begins
-    missing_teeth : teeth left out of the full wheel in one gap, 0 or more
-    tooth_angles_deg : degrees, 0 and rising, the pulses of one encoder revolution of any wheel, or None
     index_time_s : (marks,), s, times of the once-per-revolution mark, or None
     ratio : encoder revolutions per crank revolution; the index may sit on either shaft
     noise_s : standard deviation of one pulse time, s; at few samples per pulse it widens what is plausible
@@ -196,28 +184,30 @@ def number_teeth(
     configured, or more repairs than ``max_repaired_fraction`` of the pulses.
     """
     _check_times(time_s)
-    wheel = wheel_of(pulses_per_rev, missing_teeth, tooth_angles_deg)
-    widest = float(wheel.spans.max() * wheel.places.size / wheel.grid)
-    part, flags = running_part(time_s, pulses_per_rev=wheel.places.size * ratio, gap=widest)
+    part, flags = running_part(time_s, pulses_per_rev=wheel.places.size * ratio, gap=wheel.widest_gap)
     time_s = time_s[part]
     _check_times(time_s)
     if wheel.even:
         kept, tooth = _followed_even(time_s, wheel.grid, settings, noise_s)
         certain = wheel.grid == 1
     else:
-        kept, tooth, certain = _followed_uneven(time_s, wheel, settings)
+        followed = followed_from_steady(time_s, wheel)
+        if followed.misfit > MOST_MISFIT:
+            raise _uncertain(time_s, 0, 0, wheel, settings)
+        if gap_is_absent(time_s, followed.kept, followed.count, wheel):
+            raise _other_wheel("no gap found in the pulse train", time_s, wheel)
+        certain = wheel.repeats == 1 and followed.margin >= CERTAIN_MARGIN
+        kept, tooth = ends_put_right(time_s, followed.kept, followed.count, wheel)
     kept_time = time_s[kept] if kept.size < time_s.size else time_s
     n_false = _flag_false(time_s, kept, flags)
     index_tooth, index_period = 0.0 if certain else np.nan, float(wheel.grid)
-    if not (certain or wheel.even) and wheel.repeats > 1:
-        detail = f"the wheel looks the same {wheel.repeats} times per revolution: its phase has no reference"
-        flags.append(("no_index", "suspect", detail))
-    elif not (certain or wheel.even):
-        detail = "too few revolutions tell which tooth is the first: the phase has no reference"
-        flags.append(("tooth_phase_uncertain", "suspect", detail))
+    if not (certain or wheel.even):
+        name, why = "tooth_phase_uncertain", "too few revolutions tell which tooth is the first"
+        if wheel.repeats > 1:
+            name, why = "no_index", f"the wheel looks the same {wheel.repeats} times per revolution"
+        flags.append((name, "suspect", f"{why}: its phase has no reference"))
     if index_time_s is not None:
-        periods = (wheel.grid, wheel.grid * ratio)
-        tooth, index_tooth, index_period = at_index(kept_time, tooth, index_time_s, periods, flags, renumber=wheel.even)
+        tooth, index_tooth, index_period = at_index(kept_time, tooth, index_time_s, wheel, ratio, flags)
         # where a count was put right, the pulses that it counted twice are left out
         new = np.diff(np.maximum.accumulate(tooth), prepend=tooth[0] - 1) > 0
         kept_time, tooth = kept_time[new], tooth[new]
@@ -231,10 +221,9 @@ def number_teeth(
         raise _uncertain(time_s, lost.size, n_false, wheel, settings)
     if not wheel.even:
         true = ~displaced_teeth(kept_time, tooth, wheel, flags)
-        kept_time, tooth = kept_time[true], tooth[true]
-        kept_time = times_on_grid(kept_time, tooth, wheel)
-    n_repaired = n_false + int(lost.size)
-    return NumberedTeeth(kept_time, tooth, index_tooth, n_repaired, flags, wheel.grid, index_period)
+        tooth = tooth[true]
+        kept_time = times_on_grid(kept_time[true], tooth, wheel)
+    return NumberedTeeth(kept_time, tooth, index_tooth, n_false + lost.size, flags, wheel.grid, index_period)
 
 
 def _followed_even(time_s: Floats, teeth: int, settings: ShaftSettings, noise_s: float) -> tuple[Ints, Ints]:
@@ -290,24 +279,13 @@ def _steady_start(step: Floats, window: int) -> int:
     return int(steady[0]) if steady.size else -1
 
 
-def _followed_uneven(time_s: Floats, wheel: Wheel, settings: ShaftSettings) -> tuple[Ints, Ints, bool]:
-    """Pulses that are true, the number of the tooth of each, and whether the wheel tells which tooth is the first."""
-    followed = followed_from_steady(time_s, wheel)
-    if followed.misfit > MOST_MISFIT:
-        raise _uncertain(time_s, 0, 0, wheel, settings)
-    if gap_is_absent(time_s, followed.kept, followed.count, wheel):
-        raise _other_wheel("no gap found in the pulse train", time_s, wheel)
-    certain = wheel.repeats == 1 and followed.margin >= CERTAIN_MARGIN
-    kept, tooth = ends_put_right(time_s, followed.kept, followed.count, wheel)
-    return kept, tooth, certain
-
-
 def _uncertain(time_s: Floats, n_lost: int, n_false: int, wheel: Wheel, settings: ShaftSettings) -> InputError:
     seen = f"{n_lost} pulses lost and {n_false} false of {time_s.size}" if n_lost + n_false else "no steady speed"
+    problem = f"{seen}: the count is not certain"
     if not wheel.even:
-        return _other_wheel(f"{seen}: the count is not certain", time_s, wheel)
+        return _other_wheel(problem, time_s, wheel)
     return InputError(
-        f"{seen}: the count is not certain",
+        problem,
         place="encoder",
         allowed=f"{settings.max_repaired_fraction:.0%} repaired",
         remedy="Check pulses_per_rev, missing_teeth and edge in run.toml, and the sensor's gap and cable",
@@ -464,47 +442,34 @@ def _flag_lost(lost: Ints, time_s: Floats, tooth: Ints, wheel: Wheel, index_toot
         flags.append(("encoder_damaged_line", "suspect", detail))
 
 
-FEWEST_SAMPLES_PER_TOOTH = 2.5
-"""A tooth and its gap need a sample each, and the fastest teeth of a turn are shorter than the mean."""
-
 # Pulses that are enough to tell their noise.
 MOST_NOISE_TEETH = 20_000
 
 
-class StatedWheel(NamedTuple):
-    """What wheel a recording has, as :func:`number_teeth` takes it."""
-
-    pulses_per_rev: int
-    missing_teeth: int = 0
-    tooth_angles_deg: tuple[float, ...] | None = None
-
-
-def stated_wheel(recording: xr.Dataset) -> tuple[StatedWheel, list[Remark]]:
+def stated_wheel(recording: xr.Dataset) -> tuple[Wheel, list[Remark]]:
     """The wheel of ``recording``, found from the pulses where nothing states it, and remarks on how it was found."""
     if "pulse_time" not in recording.variables:
-        raise InputError(
-            "the recording holds no pulse times", place="encoder", remedy="Check the encoder's source in run.toml"
-        )
-    pulse_s, index_s = recording.variables["pulse_time"].values.astype(np.float64), times_of(recording, "index_time")
-    # a gap hides pulses, again and again: between gaps the wheel shows itself
-    parts = np.split(pulse_s, np.searchsorted(pulse_s, recording.attrs.get("gap_starts_s", [])))
-    attrs, pulse_s = recording.attrs, max(parts, key=len)
+        problem = "the recording holds no pulse times"
+        raise InputError(problem, place="encoder", remedy="Check the encoder's source in run.toml")
+    attrs, pulse_s = recording.attrs, recording.variables["pulse_time"].values.astype(np.float64)
     if "tooth_angles_deg" in attrs:
         angles = tuple(float(angle) for angle in np.atleast_1d(attrs["tooth_angles_deg"]))
-        return StatedWheel(len(angles), tooth_angles_deg=angles), []
+        return wheel_of(len(angles), tooth_angles_deg=angles), []
     if "pulses_per_rev" in attrs:
-        return StatedWheel(int(attrs["pulses_per_rev"]), int(attrs.get("missing_teeth", 0))), []
-    found = find_pattern(pulse_s, index_time_s=index_s)
+        return wheel_of(int(attrs["pulses_per_rev"]), int(attrs.get("missing_teeth", 0))), []
+    # a gap hides pulses, again and again: between gaps the wheel shows itself
+    between = max(np.split(pulse_s, np.searchsorted(pulse_s, attrs.get("gap_starts_s", []))), key=len)
+    found = find_pattern(between, index_time_s=times_of(recording, "index_time"))
     if found is None:
         raise InputError(
             "nothing states the pulses per revolution, and the pulses do not tell: they are even, or too few",
             place="encoder.pulses_per_rev",
-            found=f"{pulse_s.size} pulses",
+            found=f"{between.size} pulses",
             remedy="State pulses_per_rev, pattern or tooth_angles_deg in run.toml, or name the index",
         )
     remark: Remark = ("encoder_pattern_found", "suspect", f"wheel found from the pulses: {found.told}; state it")
-    even, angles = found.pattern.even, found.pattern.angles_deg
-    return StatedWheel(len(angles), tooth_angles_deg=angles) if even is None else StatedWheel(*even), [remark]
+    angles = found.pattern.angles_deg
+    return wheel_of(len(angles), tooth_angles_deg=angles), [remark]
 
 
 def uneven_noise_s(time_s: Floats, tooth: Ints) -> float:
@@ -536,16 +501,6 @@ def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
     start = float(teeth.time_s[int(np.argmax(steps < FEWEST_SAMPLES_PER_TOOTH))])
     detail = f"only {fewest:.1f} samples per tooth, first at {start:.3g} s: teeth pass unseen; sample faster"
     return [("encoder_undersampled", "bad", detail)]
-
-
-def mark_flags(teeth: NumberedTeeth, recording: xr.Dataset) -> list[Remark]:
-    """Remark where the mark of ``teeth`` in ``recording`` is on a shaft whose turns are no whole crank revolutions."""
-    ratio = float(recording.attrs.get("ratio", 1.0))
-    turns = 1.0 / ratio
-    if not np.isfinite(teeth.index_tooth) or abs(turns - round(turns)) <= 1e-9:
-        return []
-    detail = f"the encoder turns {ratio:g} times per crank revolution: its mark is at top dead centre only once"
-    return [("index_not_on_crank", "suspect", detail)]
 
 
 def times_of(recording: xr.Dataset, name: str) -> Floats | None:
