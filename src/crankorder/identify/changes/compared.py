@@ -36,12 +36,7 @@ from crankorder.comparison import (
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Findings, ModeFinding, TrialBalance
-from crankorder.identify.changes.mass_change import (
-    balance_changes,
-    trial_mass,
-    unbalance_change,
-    unbalance_record,
-)
+from crankorder.identify.changes.mass_change import balance_changes, trial_mass, unbalance_change
 from crankorder.identify.changes.order_changes import NUMBERS as ORDER_CHANGES
 from crankorder.identify.changes.order_changes import (
     TO_DB,
@@ -90,9 +85,9 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     modes = _mode_shifts(base.findings, new.findings) if "modes" in base.comparable & new.comparable else []
     units = [{channel.name: channel.unit for channel in test.findings.channels} for test in tests]
     shared = [name for name in channels if all(of_test.get(name) == units[0][name] for of_test in units)]
-    unbalances = [(c, u) for c in changes if c.order in (1.0, 2.0) and (u := unbalance_change(c))]
-    records = tuple(unbalance_record(unbalance, changed=change.changed) for change, unbalance in unbalances)
-    explaining = [unbalance for change, unbalance in unbalances if change.changed and unbalance.explains]
+    unbalances = [found for c in changes if c.order in (1.0, 2.0) and (found := unbalance_change(c))]
+    records = tuple(record for record, _ in unbalances)
+    explaining = [factor for record, factor in unbalances if record.explains]
     added, unreadable = _masses_between(base, new)
     trial, trial_reason = _trial_mass(base, new, added)
     order_records = tuple(_order_record(change, _explained(change, base, new)) for change in changes)
