@@ -62,7 +62,10 @@ def _lag_sums(angle_rev, share, lag, step):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_lag(angle_rev, lag, step, out):  # type: ignore[no-untyped-def]
-    """Inertia part of the lag and its gas part for a share of 1 at ``angle_rev`` (n,), into ``out`` (2, n)."""
+    """Inertia part of the lag and its gas part for a share of 1 at ``angle_rev`` (n,), into ``out`` (2, n).
+
+    ``lag`` and ``step``: as of :func:`follow_lag`.
+    """
     for i in range(angle_rev.size):
         out[0, i], _, _, _, out[1, i], _, _ = _lag_sums(angle_rev[i], 0.0, lag, step)
 
