@@ -120,7 +120,7 @@ speeds = st.floats(-3000, 3000).map(lambda rpm: round(rpm, 1))
     wobbles=st.lists(st.tuples(st.floats(0.1, 20.0), st.floats(0.0, 300.0), st.floats(-180, 180)), max_size=3),
     lagging=st.booleans(),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_every_angle_of_a_stretch_has_its_time(rpm, spans, wobbles, lagging):
     corners = tuple(zip(np.cumsum(spans)[: len(rpm)].tolist(), rpm, strict=True))
     lag = _lag(gas=False) if lagging else None

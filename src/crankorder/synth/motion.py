@@ -141,7 +141,7 @@ MOST_WOBBLES = 256
 LEAST_SWING = 1e-100
 """Speed (rev/s) that counts as none: far below it numbers lose their digits."""
 ROUND_OFF = 2.3e-16
-"""A step of Newton's method so small a part of a time is the last one."""
+"""Relative size of steps of Newton's method, and of half of what they still miss, at which they end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -256,7 +256,7 @@ class Motion:
             low[left], high[left] = np.where(miss > 0, (low[left], time), (time, high[left]))
             inside = (low[left] <= new) & (new <= high[left])
             new = np.where(inside, new, 0.5 * (low[left] + high[left]))
-            new = np.where(np.abs(miss) <= 0.5 * ROUND_OFF * np.abs(target[left]), time, new)
+            new = np.where(np.abs(miss) <= 2 * ROUND_OFF * (1 + np.abs(target[left])), time, new)
             times[left] = new
             left = left[np.abs(new - time) > ROUND_OFF * np.abs(new)]
             if not left.size:
