@@ -20,15 +20,16 @@ from scipy.signal import cont2discrete, lfilter, lsim
 
 from crankorder.synth.driven import (
     STENCILS,
+    ForceLines,
     Integration,
     advance,
     driven_signal,
+    force_at,
     integration_for,
     interpolation_error,
     step_weights,
 )
 from crankorder.synth.motion import Motion
-from crankorder.synth.order_forces import ForceLines, force_at
 from crankorder.synth.poles import Poles, Structure, low_pass, poles_of
 
 SUBSTEPS = (1, 2, 4, 8)
@@ -70,7 +71,7 @@ def forces(rate_hz: float, substeps: int, margin: int) -> np.ndarray:
 
 def ours(rate_hz: float, integration: Integration, poles: Poles = POLES) -> np.ndarray:
     """The run-up from rest, forces included."""
-    force = forces(rate_hz, integration.substeps, integration.margin)
+    force = forces(rate_hz, integration.substeps, integration.stencil // 2)
     rest = np.zeros(poles.pole_per_s.size, dtype=complex)
     growth, taps = step_weights(poles.pole_per_s, 1 / (rate_hz * integration.substeps), integration)
     return advance(poles, force, growth=growth, taps=taps, integration=integration, state=rest)[0][0]

@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 
-from crankorder.identify.changes.mass_change import Unbalance, balance_changes, factor_of
+from crankorder.identify.changes.mass_change import Factor, balance_changes, factor_of
 from made.typed import from_dicts
 
 balance_changes = from_dicts(balance_changes)
-
-
-def unbalance(order, factor, error, channel="Z"):
-    nothing = (1.0, 2000.0, 0j, 1.0, 1.0)
-    return Unbalance(channel, order, "m/s2", np.array([1000.0]), factor, error, 1e6, *nothing)
 
 
 def closed(key, value, error):
@@ -31,7 +26,7 @@ def test_the_interval_of_the_change_covers_it_in_95_of_100_cases(sides):
             for mass, spread, has in zip((before, after), error, sides, strict=False)
         ]
         ratio = after / before + error[2] * complex(*rng.standard_normal(2))
-        records = balance_changes(*found, [unbalance(1.0, ratio, error[2])])
+        records = balance_changes(*found, [Factor(1.0, ratio, error[2], 1e6)])
         for record in records:  # one ratio in some thousands is taken for a turned one and refused
             low, high = record.change_ci95
             held.append(low <= after - before <= high)
@@ -40,12 +35,12 @@ def test_the_interval_of_the_change_covers_it_in_95_of_100_cases(sides):
 
 
 def test_orders_that_disagree_are_no_one_mass():
-    alike = [unbalance(1.0, 1.86, 0.01), unbalance(2.0, 1.80, 0.05)]
+    alike = [Factor(1.0, 1.86, 0.01, 1e6), Factor(2.0, 1.80, 0.05, 1e6)]
     assert factor_of(alike, (1.0, 2.0)).value == pytest.approx(1.86, abs=0.01)
-    for other in (unbalance(2.0, 1.4, 0.05), unbalance(2.0, 1.86 + 0.4j, 0.05)):
+    for other in (Factor(2.0, 1.4, 0.05, 1e6), Factor(2.0, 1.86 + 0.4j, 0.05, 1e6)):
         assert factor_of([alike[0], other], (1.0, 2.0)) is None
-    assert factor_of([alike[0], unbalance(1.0, 1.2, 0.01, "X")], (1.0,)) is None  # another way in another channel
-    assert factor_of([unbalance(1.0, 1.86 + 0.3j, 0.01)], (1.0,)) is None  # turned: no mass along the cylinder alone
+    assert factor_of([alike[0], Factor(1.0, 1.2, 0.01, 1e6)], (1.0,)) is None  # another way in another channel
+    assert factor_of([Factor(1.0, 1.86 + 0.3j, 0.01, 1e6)], (1.0,)) is None  # turned: no mass along the cylinder alone
 
 
 def test_without_a_ratio_two_closed_balances_are_subtracted():

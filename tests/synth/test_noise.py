@@ -18,7 +18,6 @@ from crankorder.synth.noise import (
     padded_length,
     put_coloured_noise,
     seed_stream,
-    shaped_noise,
     white_noise,
     white_spectrum,
 )
@@ -62,11 +61,6 @@ def test_noise_behind_a_response_has_its_density():
     exact = 2 * np.sqrt(9 + 1 / (1 + (bins / 500) ** 2))
     assert density_of(noise[0])[2:-2] == pytest.approx(exact[2:-2], rel=0.1)
     assert not noise[1].any()
-
-
-def test_shaped_noise_with_too_few_bins_is_refused():
-    with pytest.raises(ValueError, match="51 bins make 100 samples"):
-        shaped_noise(seed_stream(4, "x"), np.ones(51), rate_hz=RATE_HZ, n_samples=101)
 
 
 def test_a_density_through_points_is_straight_on_log_scales_and_level_outside():
@@ -170,15 +164,6 @@ def test_a_longer_record_adds_strikes_and_changes_none():
     assert strikes(start_rev=5.0, end_rev=4.0).size == 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "wrong", [{"order": 0.0}, {"order": np.nan}, {"slip_percent": 100.0}, {"jitter_percent": 21.0}, {"end_rev": np.inf}]
-)
-def test_strikes_that_cannot_be_are_refused(wrong):
-    with pytest.raises(RequestError, match="no such strikes"):
-        strikes(**wrong)
-
-
 @pytest.mark.parametrize(("line", "order"), [("BPFI", SHAFT), ("BSF", CAGE)])
 def test_the_load_zone_comes_and_goes_with_what_the_damage_turns_with(line, order):
     at = strikes(end_rev=20_000.0)
@@ -234,9 +219,6 @@ def test_behind_a_filter_the_ringing_obeys_the_equations_of_both(resonance_hz):
     assert np.abs(found[1:] - known).max() < 1e-9 * np.abs(known).max()
 
 
-def test_a_resonance_that_cannot_be_is_refused():
-    for resonance_hz, damping_ratio in ((0.0, 0.1), (1.0, 1.0), (1.0, 0.0), (float("nan"), 0.1)):
-        with pytest.raises(RequestError, match="no such resonance"):
-            ringing_s(resonance_hz, damping_ratio)
+def test_a_resonance_that_is_a_pole_of_the_filter_is_refused():
     with pytest.raises(RequestError, match="is a pole of the acquisition's filter"):
         ringing_s(1000.0, float(np.sqrt(0.5)), filter=low_pass(2, 1000.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -85,12 +84,6 @@ def wheel_of(encoder: Encoder, *, seed: int) -> Wheel:
     return Wheel(rise=rise, fall=fall, nominal=nominal, pitch=pitch)
 
 
-def index_wheel(wheel: Wheel) -> Wheel:
-    """Wheel of one line that rises with the first line of ``wheel`` and lasts a pitch, half a turn at most."""
-    rise = wheel.rise[:1]
-    return Wheel(rise=rise, fall=rise + min(wheel.pitch, 0.5), nominal=rise, pitch=1.0)
-
-
 def _true_turn(shown: Floats, encoder: Encoder) -> Floats:
     """Turns at which an eccentric wheel shows the turns ``shown``."""
     amplitude, phase = encoder.eccentricity_deg / 360, np.radians(encoder.eccentricity_phase_deg)
@@ -163,28 +156,6 @@ class Track:
     shortest_s: float
 
 
-def with_encoder_faults(
-    track: Track, faults: Sequence[AnyEncoderFault], *, seed: int, recording: str, stream: str
-) -> tuple[Track, list[dict[str, Json]]]:
-    """``track`` after the faults of this recording, and a record of each thing put in.
-
-    A record holds recording, flag (that of the pipeline for such a thing), severity, detail, count, and where: times_s,
-    lines and angles_deg. A fault for which there is no room (more pulses lost than came, say) acts as far as it can,
-    and its record counts what was done.
-
-    ``track``: pulses without faults. ``faults``: of the scene, in their sequence. ``seed``: of the scene.
-    ``recording``: name of the recording without suffix; ``stream``: its name for the seed streams.
-    """
-    records: list[dict[str, Json]] = []
-    for number, fault in enumerate(faults):
-        if fault.recordings and recording not in fault.recordings:
-            continue
-        chance = seed_stream(seed, "encoder_faults", str(number), stream)
-        track, record = _FAULTS[fault.kind](track, fault, chance)
-        records += [{"recording": recording, **record}] if record["count"] else []
-    return track, records
-
-
 def _record(flag: str, detail: str, count: int, **where: Sequence[float]) -> dict[str, Json]:
     return {"flag": flag, "severity": "suspect", "detail": detail, "count": count, **where}
 
@@ -255,29 +226,6 @@ def _room_in_level(track: Track, time_s: Floats, host: NDArray[np.intp], delay_s
     return width, (shortest >= track.shortest_s) & (shortest > 0)
 
 
-def sampled_encoder(
-    start_rev: float, speed_rpm: float, *, pulses_per_rev: int, high_v: float, rate_hz: float, n_samples: int
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Square wave of the encoder (V) and index mark (0 or 1) at constant speed, each of shape (n_samples,).
-
-    A pulse rises at every whole 1/pulses_per_rev of a revolution and is high for the first half of it; the index is
-    high for the first pulse period of each revolution, or for half of the revolution where that is less.
-
-    ``start_rev``: angle of the encoder at the first sample, ≥ 0. ``speed_rpm``: of the encoder, > 0.
-    ``pulses_per_rev``: ≥ 1. ``high_v``: volts of the high level. ``rate_hz``: samples per second; each half pulse needs
-    at least one sample. ``n_samples``: ≥ 1.
-    """
-    half_pulses_per_rev = 2 * pulses_per_rev
-    per_sample = half_pulses_per_rev * speed_rpm / (60 * rate_hz)
-    position = np.arange(n_samples, dtype=np.float64)
-    position *= per_sample
-    position += half_pulses_per_rev * start_rev
-    half_pulse = position.astype(np.int32)
-    encoder = np.float32(high_v) * (half_pulse & 1 == 0)
-    index = (half_pulse % half_pulses_per_rev < min(2, pulses_per_rev)).view(np.uint8)
-    return encoder.astype(np.float32, copy=False), index
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EncoderSignals:
     """What an encoder gives to one recording.
@@ -304,6 +252,10 @@ def encoder_signals(
 ) -> EncoderSignals:
     """Signals of the encoder under any motion, with a record of every fault.
 
+    A record holds recording, flag (that of the pipeline for such a thing), severity, detail, count, and where: times_s,
+    lines and angles_deg. A fault for which there is no room (more pulses lost than came, say) acts as far as it can,
+    and its record counts what was done.
+
     Edges are exact in time; a sample has the level that the last edge before it left. The angle that an encoder shows
     is ratio·(crank angle + index_to_tdc_deg): its first line and its index come at whole turns of it.
 
@@ -311,25 +263,22 @@ def encoder_signals(
     the scene, for any recordings. ``seed``: of the scene. ``recording``: name without suffix; ``stream``: name for the
     seed streams. ``rate_hz``: samples per second. ``n_samples``: ≥ 1.
     """
-    faulty = any(not fault.recordings or recording in fault.recordings for fault in faults)
-    flaws = encoder.missing_teeth or encoder.eccentricity_deg or encoder.line_error_deg
-    if not (faulty or flaws) and motion.is_steady and motion.corners[0][1] > 0:
-        start_turn = float(encoder_turn(np.array([motion.start_rev]), encoder)[0])
-        if not 0 <= start_turn < 1e3:  # whole turns would only cost digits, or not fit the counter
-            start_turn -= math.floor(start_turn)
-        speed_rpm, wave = encoder.ratio * motion.corners[0][1], {"rate_hz": rate_hz, "high_v": encoder.high_v}
-        trace, mark = sampled_encoder(
-            start_turn, speed_rpm, pulses_per_rev=encoder.pulses_per_rev, n_samples=n_samples, **wave
-        )
-        return EncoderSignals(trace=trace, index=mark if encoder.index else None, records=[])
     wheel, duration_s = wheel_of(encoder, seed=seed), n_samples / rate_hz
     lines = passed_pulses(wheel, motion, encoder, duration_s=duration_s)
     track = Track(lines=lines, wheel=wheel, duration_s=duration_s, shortest_s=SEEN_SAMPLES / rate_hz)
-    track, records = with_encoder_faults(track, faults, seed=seed, recording=recording, stream=stream)
+    records: list[dict[str, Json]] = []
+    for number, fault in enumerate(faults):
+        if not fault.recordings or recording in fault.recordings:
+            chance = seed_stream(seed, "encoder_faults", str(number), stream)
+            track, record = _FAULTS[fault.kind](track, fault, chance)
+            records += [{"recording": recording, **record}] if record["count"] else []
     trace = sampled_level(track.lines, encoder.high_v, rate_hz=rate_hz, n_samples=n_samples)
     index = None
     if encoder.index:
-        marks = passed_pulses(index_wheel(wheel), motion, encoder, duration_s=duration_s)
+        # one line that rises with the first one of the wheel and lasts a pitch, half a turn at most
+        rise = wheel.rise[:1]
+        mark = Wheel(rise=rise, fall=rise + min(wheel.pitch, 0.5), nominal=rise, pitch=1.0)
+        marks = passed_pulses(mark, motion, encoder, duration_s=duration_s)
         index = sampled_level(marks, 1.0, rate_hz=rate_hz, n_samples=n_samples).astype(np.uint8)
     return EncoderSignals(trace=trace, index=index, records=records)
 

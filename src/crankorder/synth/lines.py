@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
+from scipy.signal import lfilter
 
 from crankorder.engine.forces import crankcase_forces, crankcase_moments, gas_torque_by_order, two_masses
 from crankorder.engine.machine_parts import bearing_orders
@@ -16,9 +16,9 @@ from crankorder.engine.slider_crank import piston_velocity, rod_angle, sine_cosi
 from crankorder.engine.torsional_fluctuation import Lag, lag_from_torque, lag_of_speed
 from crankorder.errors import RequestError
 from crankorder.quantities import Complexes, Floats, Ints
+from crankorder.synth.driven import ForceLines, lines_in_angle, lines_in_time
 from crankorder.synth.motion import Motion, wander_wobbles
 from crankorder.synth.noise import seed_stream
-from crankorder.synth.order_forces import ForceLines, lines_in_angle, lines_in_time
 from crankorder.synth.parts import AXES, OtherShaft, SpeedOrder, TimeSampling
 from crankorder.synth.poles import POLES_APART, AnalogueFilter, accelerance
 from crankorder.synth.scene import Run, Scene
@@ -104,15 +104,6 @@ def _lag(scene: Scene, run: Run) -> Lag:
     return lag_from_torque(scene.engine, flywheel_inertia_kg_m2=inertia, speed_rpm=speed_rpm, with_gas=with_gas)
 
 
-def begun_earlier(motion: Motion, seconds: float) -> Motion:
-    """The same ``motion`` on a clock that starts ``seconds`` before the first sample, or after it where negative."""
-    if seconds == 0:
-        return motion
-    corners = tuple((time_s + seconds, rpm) for time_s, rpm in motion.corners)
-    wobbles = tuple((hz, rpm, phase - 360 * hz * seconds) for hz, rpm, phase in motion.wobbles)
-    return replace(motion, start_rev=float(motion.at(np.array([-seconds]))[0][0]), corners=corners, wobbles=wobbles)
-
-
 def gain_of_cycle(scene: Scene, run: Run) -> Callable[[Ints], Floats] | None:
     """Factor of the gas torque in every cycle, by the cycle's number, or None where all cycles of ``run`` are alike.
 
@@ -124,11 +115,10 @@ def gain_of_cycle(scene: Scene, run: Run) -> Callable[[Ints], Floats] | None:
 
     def gain(cycle: Ints) -> Floats:
         drawn = np.zeros(cycle.size)
-        for way, side in (("after", cycle >= 0), ("before", cycle < 0)):
-            if side.any():
-                number = np.where(cycle[side] >= 0, cycle[side], -1 - cycle[side])
+        for way, number in (("after", cycle), ("before", -1 - cycle)):
+            if (side := number >= 0).any():
                 stream = seed_stream(scene.seed, "gas_torque", run.stream, way)
-                drawn[side] = stream.standard_normal(int(number.max()) + 1)[number]
+                drawn[side] = stream.standard_normal(int(number.max()) + 1)[number[side]]
         return np.maximum(1 + scatter * drawn, 0.0)
 
     return gain
@@ -136,10 +126,6 @@ def gain_of_cycle(scene: Scene, run: Run) -> Callable[[Ints], Floats] | None:
 
 SHORTEST_STEP = 0.05
 """Of the period between strikes, left by jitter at least (4.75 σ at the most jitter): strikes do not swap places."""
-NEGLIGIBLE = 1e-30
-"""Of the largest entry: what a ringing has fallen to this far is over."""
-CHECK_EVERY = 64
-"""Samples between looks at whether a ringing is over."""
 
 
 def slipping_line(order: float, *, slip_percent: float) -> float:
@@ -167,15 +153,10 @@ def strike_angles(
 
     ``order``: strikes per crank revolution in pure rolling, > 0. ``slip_percent``: how much fewer, −100 … 100 both
     excluded. ``jitter_percent``: standard deviation of a period, 0 … 20. ``stream``: of the chance, with children that
-    it spawns; the first strike after crank angle 0 comes anywhere within a period. Raises RequestError outside these
-    ranges.
+    it spawns; the first strike after crank angle 0 comes anywhere within a period.
     Source: Antoni and Randall (2003), Journal of Vibration and Acoustics 125, p. 282: random slips that add up, as
     against jitter about a fixed place.
     """
-    if not (order > 0 and abs(slip_percent) < 100 and 0 <= jitter_percent <= 20 and math.isfinite(end_rev - start_rev)):
-        found = f"order {order:g}, slip {slip_percent:g} %, jitter {jitter_percent:g} %, {start_rev:g} … {end_rev:g}"
-        allowed = "order > 0, slip −100 … 100 %, jitter 0 … 20 %, finite angles"
-        raise RequestError("no such strikes", found=found, allowed=allowed)
     period_rev = 1 / slipping_line(order, slip_percent=slip_percent)
     first, start, end = stream.random(), start_rev / period_rev, end_rev / period_rev
     ahead, back = stream.spawn(2)
@@ -248,14 +229,15 @@ def ringing(
     """
     signal = np.zeros(n_samples)
     strike_sample = np.asarray(strike_s, dtype=np.float64) * rate_hz
-    rings = np.flatnonzero(strike_sample <= n_samples - 1)
-    rings = rings[np.argsort(strike_sample[rings], kind="stable")]
+    rings = strike_sample <= n_samples - 1
     strike_sample, struck = strike_sample[rings], np.asarray(size, dtype=np.float64)[rings]
     entry_sample = np.maximum(np.ceil(strike_sample), 0.0)
     pole, weight = _poles(resonance_hz, damping_ratio, filter)
     for decay, by in zip(pole / rate_hz, weight, strict=True):
         entry = by * struck * np.exp(decay * (entry_sample - strike_sample))
-        _add_decaying(signal, entry_sample.astype(np.int64), entry, complex(np.exp(decay)))
+        struck_at = np.zeros(n_samples, dtype=np.complex128)
+        np.add.at(struck_at, entry_sample.astype(np.int64), entry)
+        signal += lfilter([1.0], [1.0, -np.exp(decay)], struck_at).real
     return signal
 
 
@@ -276,9 +258,6 @@ def _poles(resonance_hz: float, damping_ratio: float, filter: AnalogueFilter | N
 
     By partial fractions: what stands in series adds up. Source: any text on the Laplace transform.
     """
-    if not (resonance_hz > 0 and 0 < damping_ratio < 1):
-        allowed = "> 0 Hz, 0 < ζ < 1"
-        raise RequestError("no such resonance", found=f"{resonance_hz:g} Hz, ζ {damping_ratio:g}", allowed=allowed)
     undamped = math.sqrt((1 - damping_ratio) * (1 + damping_ratio))
     pole = 2 * math.pi * resonance_hz * complex(-damping_ratio, undamped)
     largest = undamped * math.exp(-damping_ratio / undamped * math.acos(damping_ratio))
@@ -295,30 +274,6 @@ def _poles(resonance_hz: float, damping_ratio: float, filter: AnalogueFilter | N
     kept = beside > 0
     weights = np.concatenate([-1j / largest * filter.at(np.array([pole])), (beside * filter.residue * through)[kept]])
     return np.concatenate([np.array([pole]), behind[kept]]), weights
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _add_decaying(signal, entry_sample, entry, step):  # type: ignore[no-untyped-def]
-    """Add Re Σ entry · step^(n − entry_sample) to ``signal``; entries in sequence of their samples."""
-    over = 0.0
-    for k in range(entry.size):
-        over = max(over, abs(entry[k].real) + abs(entry[k].imag))
-    over *= NEGLIGIBLE
-    state = 0j
-    n = k = 0
-    while n < signal.size:
-        if n % CHECK_EVERY == 0 and abs(state.real) + abs(state.imag) <= over:
-            state = 0j
-            # to the next strike at once; without this, numbers too small for the processor would slow it down
-            n = entry_sample[k] if k < entry.size else signal.size
-            if n == signal.size:
-                break
-        while k < entry.size and entry_sample[k] == n:
-            state += entry[k]
-            k += 1
-        signal[n] += state.real
-        state *= step
-        n += 1
 
 
 ANGLES = 1 << 14

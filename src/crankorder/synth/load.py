@@ -17,13 +17,12 @@ from crankorder.engine.forces import gas_torque_by_order
 from crankorder.engine.machine_parts import bearing_orders
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import shipped, toml_table, validation_fault
-from crankorder.synth.driven import MEMORY
+from crankorder.synth.driven import ENDLESS, MEMORY
 from crankorder.synth.lines import crank_motion, other_motion, ringing_s
-from crankorder.synth.order_forces import ENDLESS
 from crankorder.synth.parts import INDEX, TRACE, CrankAngleSampling, TimeSampling
 from crankorder.synth.poles import analogue_filter, poles_of
+from crankorder.synth.recording import impossible_faults
 from crankorder.synth.scene import Scene
-from crankorder.synth.signal_faults import impossible_faults
 
 MAX_SAMPLES = 50_000_000
 """Of one channel of one recording: more would not fit into the memory of a small machine."""
@@ -37,12 +36,8 @@ Fault = tuple[str, str, str, str]
 """Problem, place, found, allowed."""
 
 
-def validation_errors(scene: Scene, source: str, kept: dict[str, list[int]]) -> list[RequestError]:
-    """Every fault of ``scene`` that its parts alone do not show.
-
-    ``source``: the file's name for the messages. ``kept``: for a list of effects that lost faulty items, the places in
-    the file of those that stayed.
-    """
+def validation_errors(scene: Scene, source: str) -> list[RequestError]:
+    """Every fault of ``scene`` that its parts alone do not show; ``source`` is the file's name for the messages."""
     faults = [*_names(scene), *_forces_without_structure(scene), *_converter(scene)]
     if (scene.speeds is None) == (scene.speed_profile is None):
         found = "neither" if scene.speeds is None else "both"
@@ -53,15 +48,9 @@ def validation_errors(scene: Scene, source: str, kept: dict[str, list[int]]) -> 
         faults += [*_sampling(scene), *_by_crank_angle(scene), *_encoder(scene), *_orders(scene)]
         faults += [*_turning(scene), *_standstill(scene), *_past(scene), *_labels(scene)]
     return [
-        RequestError(problem, file=source, place=_place_in_file(place, kept), found=found, allowed=allowed)
+        RequestError(problem, file=source, place=place, found=found, allowed=allowed)
         for problem, place, found, allowed in faults
     ]
-
-
-def _place_in_file(place: str, kept: dict[str, list[int]]) -> str:
-    head, _, rest = place.partition(".")
-    item, _, key = rest.partition(".")
-    return f"{head}.{kept[head][int(item)]}.{key}".rstrip(".") if head in kept and item else place
 
 
 def _names(scene: Scene) -> Iterator[Fault]:
@@ -337,8 +326,9 @@ def load_scene(name: str, beside: Path | None = None) -> Scene:
     those that it lists as ``without``. Scenes and engines that a file names are tried beside that file first.
 
     ``name``: a shipped file's stem or the path of a TOML file. ``beside``: folder in which paths are tried first.
-    Raises RequestError where there is no such file, ManyErrors with every fault: unknown effects and keys, values out
-    of range, names that do not exist, speeds and orders that the sampling cannot carry.
+    Raises RequestError where there is no such file, ManyErrors with every fault of the tables: unknown effects and
+    keys, values out of range; where these are sound, with all that does not go together: names that do not exist,
+    speeds and orders that the sampling cannot carry.
     """
     faults: list[CrankorderError] = []
     table, source = _whole_table(name, beside, faults)
@@ -356,16 +346,26 @@ def load_scene(name: str, beside: Path | None = None) -> Scene:
         faults += errors.faults
     except RequestError as error:
         faults.append(error)
-    kept: dict[str, list[int]] = {}
-    scene = _validated(table, source, faults, kept)
-    if scene is not None:
-        faults += validation_errors(scene, source, kept)
-        told = {(fault.problem, fault.place) for fault in faults}
-        quick = validation_errors(scene.first_look(), source, kept)
-        faults += [fault for fault in quick if (fault.problem, fault.place) not in told]
-    if faults or scene is None:
+    try:
+        scene = Scene.model_validate(table)
+    except ValidationError as error:
+        faults += [_fault_of_form(fault, source) for fault in error.errors() if fault["loc"][:1] != ("engine",)]
+        raise ManyErrors(faults) from None
+    faults += validation_errors(scene, source)
+    told = {(fault.problem, fault.place) for fault in faults}
+    quick = validation_errors(scene.first_look(), source)
+    if faults := [*faults, *(fault for fault in quick if (fault.problem, fault.place) not in told)]:
         raise ManyErrors(faults)
     return scene
+
+
+def _fault_of_form(fault: Any, source: str) -> RequestError:
+    """A fault that the model of a scene finds, in the words of the program."""
+    text = validation_fault(fault, source)
+    if text.problem != "unknown key" or len(fault["loc"]) > 1:
+        return text
+    effects = ", ".join(key for key, field in Scene.model_fields.items() if not field.is_required())
+    return RequestError("unknown effect", file=source, place=text.place, allowed=effects)
 
 
 def _folder_of(name: str, beside: Path | None) -> Path | None:
@@ -408,43 +408,3 @@ def _extremes(value: Any, source: str, place: str = "") -> Iterator[RequestError
     if number and value and not LEAST <= abs(value) <= MOST and place != "seed":
         allowed = f"0, or {LEAST:g} … {MOST:g} either way"
         yield RequestError("out of all proportion", file=source, place=place, found=value, allowed=allowed)
-
-
-def _validated(
-    table: dict[str, object], source: str, faults: list[CrankorderError], kept: dict[str, list[int]]
-) -> Scene | None:
-    """Scene of ``table``; what is wrong goes to ``faults`` and is left out, so that the rest can be checked too."""
-    effects = ", ".join(key for key, field in Scene.model_fields.items() if not field.is_required())
-    for _ in range(2):
-        try:
-            return Scene.model_validate(table)
-        except ValidationError as error:
-            found = [fault for fault in error.errors() if fault["loc"][:1] != ("engine",)]
-            for fault in found:
-                text = validation_fault(fault, source)
-                if text.problem == "unknown key" and len(fault["loc"]) == 1:
-                    text = RequestError("unknown effect", file=source, place=text.place, allowed=effects)
-                faults.append(text)
-            if len(found) < error.error_count() or not _without(table, [fault["loc"] for fault in found], kept):
-                return None
-    return None
-
-
-def _without(table: dict[str, object], places: list[tuple[int | str, ...]], kept: dict[str, list[int]]) -> bool:
-    """Whether every effect (or entry of a list) at ``places`` was removed; ``kept`` gets the numbers of those left."""
-    faulty: dict[str, set[int]] = {}
-    for place in places:
-        head = str(place[0]) if place else ""
-        field = Scene.model_fields.get(head)
-        if not place or head in ("speeds", "speed_profile") or (field is not None and field.is_required()):
-            return False
-        if len(place) > 1 and isinstance(place[1], int):
-            faulty.setdefault(head, set()).add(place[1])
-        else:
-            table.pop(head, None)
-    for head, numbers in faulty.items():
-        entries = table[head]
-        assert isinstance(entries, list)  # for they have numbers
-        kept[head] = [number for number in range(len(entries)) if number not in numbers]
-        table[head] = [entries[number] for number in kept[head]]
-    return True

@@ -1,8 +1,7 @@
 """The motion of a shaft as a formula: its angle, speed and acceleration at any time, and the time of any angle.
 
-Slow wobbles are summed once for a block of neighbouring times, as a power series about the middle of the block: its
-error is below round-off, and the cost per sample does not grow with their number. In the compiled pass angles are
-revolutions and time is seconds. The plain version, sine by sine and without blocks, is in the tests.
+Slow wobbles are summed once for neighbouring times, as a power series about a knot among them: its error is below
+round-off, and the cost per sample does not grow with their number. The plain version, sine by sine, is in the tests.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import cmath
 import math
 from bisect import bisect_right
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
@@ -23,44 +22,11 @@ from crankorder.engine.torsional_fluctuation import Lag, stops_within_cycle
 from crankorder.errors import RequestError
 from crankorder.quantities import Floats
 
-TWO_PI = 2 * math.pi
-BLOCK = 512
-"""Most times that share a power series."""
 REACH_RAD = 0.3
-"""How far the fastest wobble may turn from the middle of a block: its 16th power over 16! is 2e-22."""
+"""How far the fastest wobble may turn from the middle of its power series: its 16th power over 16! is 2e-22."""
 TERMS = 16
 CLOSE_REV = 1e-9
 """A Newton step of this length is the last one: cubic convergence leaves nothing."""
-
-
-@njit(nogil=True, error_model="numpy")
-def _expand(centre_s, wobbles, terms):  # type: ignore[no-untyped-def]
-    """Power series of the wobbles' angle about ``centre_s``, counted from time 0, into ``terms``."""
-    for power in range(terms.size):
-        terms[power] = 0.0
-    for row in range(wobbles.shape[0]):
-        frequency, swing, phase = wobbles[row, 0], wobbles[row, 1], wobbles[row, 2]
-        rate = TWO_PI * frequency
-        half = 0.5 * frequency * centre_s
-        sine, cosine = fast_sine_cosine(half + half + phase)
-        terms[0] += swing / rate * 2.0 * fast_sine_cosine(phase + half)[1] * fast_sine_cosine(half)[0]
-        here, turned = swing * cosine, -swing * sine
-        for power in range(1, terms.size):
-            terms[power] += here / power
-            scale = rate / power
-            here, turned = turned * scale, -here * scale
-
-
-@njit(nogil=True, error_model="numpy")
-def _series(after_s, terms):  # type: ignore[no-untyped-def]
-    """Angle and its three derivatives ``after_s`` from the middle of the series."""
-    angle = speed = half = sixth = 0.0
-    for power in range(terms.size - 1, -1, -1):
-        sixth = sixth * after_s + half
-        half = half * after_s + speed
-        speed = speed * after_s + angle
-        angle = angle * after_s + terms[power]
-    return angle, speed, 2.0 * half, 6.0 * sixth
 
 
 @njit(nogil=True, error_model="numpy")
@@ -79,7 +45,7 @@ def _lag_sums(angle_rev, share, lag, step):  # type: ignore[no-untyped-def]
             real = raised
         else:
             imaginary, real = fast_sine_cosine(lag[k, 0] * angle_rev)
-        rate = TWO_PI * lag[k, 0]
+        rate = 2.0 * math.pi * lag[k, 0]
         gas_here = lag[k, 3] * real - lag[k, 4] * imaginary
         gas_turned = -rate * (lag[k, 3] * imaginary + lag[k, 4] * real)
         here = lag[k, 1] * real - lag[k, 2] * imaginary + share * gas_here
@@ -92,6 +58,16 @@ def _lag_sums(angle_rev, share, lag, step):  # type: ignore[no-untyped-def]
         gas_slope += gas_turned
         gas_bend -= rate * rate * gas_here
     return lags, slope, bend, twist, gas, gas_slope, gas_bend
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_lag(angle_rev, lag, step, out):  # type: ignore[no-untyped-def]
+    """Inertia part of the lag and its gas part for a share of 1 at ``angle_rev`` (n,), into ``out`` (2, n).
+
+    ``lag`` and ``step``: as of :func:`follow_lag`.
+    """
+    for i in range(angle_rev.size):
+        out[0, i], _, _, _, out[1, i], _, _ = _lag_sums(angle_rev[i], 0.0, lag, step)
 
 
 @njit(nogil=True, error_model="numpy")
@@ -115,14 +91,22 @@ def _behind(mean, share, behind, high, lag, step):  # type: ignore[no-untyped-de
     return behind, slope, bend + move * twist, gas + move * gas_slope, gas_slope + move * gas_bend
 
 
-@njit(nogil=True, error_model="numpy")
-def _follow(time_s, start, stop, jerk, numbers, out):  # type: ignore[no-untyped-def]
-    """Turn the mean motion in ``out`` into that of the crank; returns the least of what must stay above zero."""
-    _, _, _, lag, step, reference, slowest = numbers
+@njit(cache=True, nogil=True, error_model="numpy")
+def follow_lag(time_s, jerk, lag, step, reference, slowest, out):  # type: ignore[no-untyped-def]
+    """Turn the mean angle, speed and acceleration (rev, s) in ``out``, float64 (3, n), into those of the crank.
+
+    Returns the least over all times of the rise of mean with crank angle and of crank over mean speed: where it is not
+    above zero the shaft stops within the cycle.
+
+    ``time_s``: float64 (n,), quickest where neighbours are close. ``jerk``: (n,) rate of the mean acceleration.
+    ``lag``: (k, 5) of order, inertia and gas part (rev, real and imaginary). ``step``: what the orders are multiples
+    1, 2, … of, 0 for any. ``reference``: mean speed (rev/s) of the gas part, 0 without gas. ``slowest``: mean speed
+    (rev/s) at which the gas stops the shaft.
+    """
     widest, gas_widest = np.hypot(lag[:, 1], lag[:, 2]).sum(), np.hypot(lag[:, 3], lag[:, 4]).sum()
     least = 1.0
     behind = behind_speed = behind_acceleration = 0.0
-    for i in range(start, stop):
+    for i in range(time_s.size):
         mean, speed, acceleration = out[0, i], out[1, i], out[2, i]
         share = share_speed = share_acceleration = 0.0
         if reference > 0.0:
@@ -131,9 +115,9 @@ def _follow(time_s, start, stop, jerk, numbers, out):  # type: ignore[no-untyped
             share = (reference / speed) ** 2
             change = acceleration / speed
             share_speed = -2.0 * share * change
-            share_acceleration = share * (6.0 * change * change - 2.0 * jerk[i - start] / speed)
+            share_acceleration = share * (6.0 * change * change - 2.0 * jerk[i] / speed)
         high = 1.001 * (widest + share * gas_widest)
-        if i > start:
+        if i > 0:
             passed = time_s[i] - time_s[i - 1]
             behind += passed * (behind_speed + 0.5 * passed * behind_acceleration)
         if not abs(behind) < high:
@@ -150,136 +134,14 @@ def _follow(time_s, start, stop, jerk, numbers, out):  # type: ignore[no-untyped
     return least
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def fill_motion(time_s, piece, numbers, jerk, terms, out):  # type: ignore[no-untyped-def]
-    """Angle (rev), speed (rpm) and acceleration (rpm/s) of the crank, written into ``out``, float64 (3, n).
-
-    Returns the least over all times of the rise of mean with crank angle and of crank over mean speed: where it is not
-    above zero the shaft stops within the cycle.
-
-    ``time_s``: float64 (n,), quickest where neighbours are close. ``piece``: whose formula, or -1 for each its own.
-    ``numbers``: the seven that follow. corner_s: ascending (c,). pieces: (c + 1, 4) of time, angle, speed and
-    acceleration there. wobbles: (w, 3) of frequency (Hz), amplitude (rev/s) and phase (rev). lag: (k, 5) of order,
-    inertia and gas part (rev, real and imaginary). step: what the orders are multiples 1, 2, … of, 0 for any.
-    reference: mean speed (rev/s) of the gas part, 0 without gas. slowest: mean speed (rev/s) at which the gas stops the
-    shaft. ``jerk``: room for (``BLOCK``,) numbers. ``terms``: room for (``TERMS``,). ``out``: float64 (3, n).
-    """
-    corner_s, pieces, wobbles, lag, _, _, _ = numbers
-    top_hz, least, start = wobbles[:, 0].max() if wobbles.shape[0] else 0.0, 1.0, 0
-    while start < time_s.size:
-        low = high = time_s[start]
-        stop = start + 1
-        while stop < time_s.size and stop - start < jerk.size:
-            new_low = time_s[stop] if time_s[stop] < low else low
-            new_high = time_s[stop] if time_s[stop] > high else high
-            if (new_high - new_low) * (math.pi * top_hz) > REACH_RAD:
-                break
-            low, high = new_low, new_high
-            stop += 1
-        first = np.searchsorted(corner_s, low, side="right") if piece < 0 else piece
-        last = np.searchsorted(corner_s, high, side="right") if piece < 0 else piece
-        for i in range(start, stop):
-            k = first if first == last else np.searchsorted(corner_s, time_s[i], side="right")
-            after, rate = time_s[i] - pieces[k, 0], pieces[k, 3]
-            out[0, i] = pieces[k, 1] + after * (pieces[k, 2] + 0.5 * rate * after)
-            out[1, i] = pieces[k, 2] + rate * after
-            out[2, i] = rate
-            jerk[i - start] = 0.0
-        if wobbles.shape[0]:
-            centre = 0.5 * (low + high)
-            _expand(centre, wobbles, terms)
-            for i in range(start, stop):
-                angle, speed, acceleration, third = _series(time_s[i] - centre, terms)
-                out[0, i] += angle
-                out[1, i] += speed
-                out[2, i] += acceleration
-                jerk[i - start] = third
-        if lag.shape[0]:
-            here = _follow(time_s, start, stop, jerk, numbers, out)
-            least = here if here < least else least
-        for i in range(start, stop):
-            out[1, i] *= 60.0
-            out[2, i] *= 60.0
-        start = stop
-    return least
-
-
-@njit(nogil=True, error_model="numpy")
-def _passed(time_s, piece, terms, centre_s, reference, gas):  # type: ignore[no-untyped-def]
-    """Mean angle less the gas part of the lag at one crank angle, and its rate."""
-    after = time_s - piece[0]
-    angle, speed, acceleration, _ = _series(time_s - centre_s, terms)
-    angle += piece[1] + after * (piece[2] + 0.5 * piece[3] * after)
-    speed += piece[2] + piece[3] * after
-    acceleration += piece[3]
-    if reference > 0.0:
-        share = gas * (reference / speed) ** 2
-        angle -= share
-        speed += 2.0 * share * acceleration / speed
-    return angle, speed
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fill_times(angle_rev, knot_s, knot_rev, forwards, numbers, terms, out):  # type: ignore[no-untyped-def]
-    """Times at which the crank passes angles in a stretch in which it turns one way, written into ``out``.
-
-    ``angle_rev``: float64 (n,), in the sequence in which they are passed. ``knot_s``: times (m,) that part the stretch
-    at its corners, no further apart than a power series reaches. ``knot_rev``: crank angles there. ``forwards``: 1 or
-    -1. ``numbers``: as of :func:`fill_motion`. ``terms``:
-    zeros (``TERMS``,). ``out``: float64 (n,).
-    """
-    corner_s, pieces, wobbles, lag, step, reference, _ = numbers
-    knot, centre = -1, 0.0
-    low_speed = high_speed = 0.0
-    piece = pieces[0]
-    for i in range(angle_rev.size):
-        lags, _, _, _, gas, _, _ = _lag_sums(angle_rev[i], 0.0, lag, step)
-        target = angle_rev[i] + lags
-        at = knot if knot > 0 else 0
-        while at < knot_s.size - 2 and forwards * knot_rev[at + 1] <= forwards * angle_rev[i]:
-            at += 1
-        low, high = knot_s[at], knot_s[at + 1]
-        if at != knot:
-            knot, centre = at, 0.5 * (low + high)
-            piece = pieces[np.searchsorted(corner_s, centre, side="right")]
-            if wobbles.shape[0]:
-                _expand(centre, wobbles, terms)
-            low_speed = _passed(low, piece, terms, centre, 0.0, 0.0)[1]
-            high_speed = _passed(high, piece, terms, centre, 0.0, 0.0)[1]
-        # as if the acceleration were even between the knots, which without wobbles it is
-        left = target - _passed(low, piece, terms, centre, reference, gas)[0]
-        squared = low_speed**2 + 2.0 * left * (high_speed - low_speed) / (high - low)
-        time = low + 2.0 * left / (low_speed + forwards * math.sqrt(squared if squared > 0.0 else 0.0))
-        if not low <= time <= high:
-            time = 0.5 * (low + high) if left * forwards > 0.0 else low
-        for _ in range(100):
-            angle, speed = _passed(time, piece, terms, centre, reference, gas)
-            miss = angle - target
-            if miss * forwards > 0.0:
-                high = time
-            else:
-                low = time
-            # at round-off a further step would be noise, and a long one where the shaft hardly moves
-            if abs(miss) <= 1.2e-16 * (abs(target) + abs(piece[1])) or high - low <= 2.3e-16 * abs(time):
-                break
-            new = time - miss / speed
-            if not low <= new <= high:
-                new = 0.5 * (low + high)
-            moved = abs(new - time)
-            time = new
-            if moved <= 2.3e-16 * abs(time):
-                break
-        out[i] = time
-
-
 Corner = tuple[float, float]
 
 MOST_WOBBLES = 256
 """Lines that a wander is made of at most: with random phases their sum is as good as Gaussian."""
 LEAST_SWING = 1e-100
 """Speed (rev/s) that counts as none: far below it numbers lose their digits."""
-MOST_SPANS = 1 << 17
-"""Parts of a recording in which turning points are looked for one by one; if more seem to have one, signs decide."""
+ROUND_OFF = 2.3e-16
+"""Relative size of steps of Newton's method, and of half of what they still miss, at which they end."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -305,8 +167,6 @@ class Motion:
         every = [self.start_rev, *times, *(rpm for _, rpm in self.corners), *(part for w in self.wobbles for part in w)]
         if not times or any(after <= before for before, after in pairwise(times)) or not np.isfinite(every).all():
             raise RequestError("no such speed profile", place="corners", allowed="finite, at ascending times")
-        if any(frequency <= 0 for frequency, _, _ in self.wobbles):
-            raise RequestError("no such wobble", place="wobbles", allowed="frequencies above 0 Hz")
         object.__setattr__(self, "_points", _without_straight(self.corners))
         if self._lag is not None:
             rpm = [rpm for _, rpm in self.corners]
@@ -317,16 +177,11 @@ class Motion:
         """Times (s, ascending) at which the slope of the profile changes: there the acceleration jumps."""
         return tuple(time for time, _ in self._points[1:-1])
 
-    @property
-    def is_steady(self) -> bool:
-        """Whether the speed is the same at all times."""
-        return not self.corner_s and not len(self._wobbles) and self._lag is None
-
-    def mean_rev(self, time_s: float) -> float:
-        """Mean angle (rev) at ``time_s``: what the angle would be there without the lag."""
-        if self.is_steady:
-            return self.start_rev + self.corners[0][1] / 60 * time_s
-        return float(self._mean(np.array([time_s], dtype=np.float64))[0, 0])
+    @cached_property
+    def mean_start_rev(self) -> float:
+        """Mean angle (rev) at time 0: what the angle would be there without the lag."""
+        lag = self._lag
+        return self.start_rev + (0.0 if lag is None else float(lag.at(self.start_rev, self._mean_rpm(0.0))))
 
     def at(self, time_s: Floats, *, piece: int | None = None) -> tuple[Floats, Floats, Floats]:
         """Crank angle (rev), speed (rpm) and angular acceleration (rpm/s) at each time, arrays (n,).
@@ -339,16 +194,20 @@ class Motion:
         RequestError where the shaft would stop within the cycle.
         """
         times = np.ascontiguousarray(time_s, dtype=np.float64)
-        if piece is not None and not 0 <= piece <= len(self.corner_s):
-            raise RequestError("no such piece of the motion", found=piece, allowed=f"0 … {len(self.corner_s)}")
-        out = np.empty((3, times.size))
-        least: float = fill_motion(
-            times, -1 if piece is None else piece, self._numbers, np.empty(BLOCK), np.empty(TERMS), out
-        )
-        if not least > 0:
-            slowest_rpm = np.abs(self._mean(times, -1 if piece is None else piece)[1]).min()
-            raise stops_within_cycle(float(slowest_rpm), lag.slowest_rpm if (lag := self.lag) else 0.0)
-        return out[0], out[1], out[2]
+        motion = self._mean(times, piece)
+        out = motion[:3]
+        if self._lag is not None and not follow_lag(times, motion[3], *self._numbers, out) > 0:
+            slowest_rpm = 60 * np.abs(self._mean(times, piece)[1]).min()
+            raise stops_within_cycle(float(slowest_rpm), self._lag.slowest_rpm)
+        return out[0], 60 * out[1], 60 * out[2]
+
+    def begun_earlier(self, seconds: float) -> Motion:
+        """The same motion on a clock that starts ``seconds`` before this one's zero, or after it where negative."""
+        if seconds == 0:
+            return self
+        corners = tuple((time_s + seconds, rpm) for time_s, rpm in self.corners)
+        wobbles = tuple((hz, rpm, phase - 360 * hz * seconds) for hz, rpm, phase in self.wobbles)
+        return replace(self, start_rev=float(self.at(np.array([-seconds]))[0][0]), corners=corners, wobbles=wobbles)
 
     def stretches(self, duration_s: float) -> tuple[tuple[float, float], ...]:
         """First and last time (s) of each part of 0 … ``duration_s`` in which the shaft turns one way, in sequence.
@@ -360,19 +219,19 @@ class Motion:
         middles = np.array([0.5 * (start + stop) for start, stop in pairwise(edges)])
         stretches: list[tuple[float, float]] = []
         way = 0.0
-        for (start, stop), rpm in zip(pairwise(edges), self._mean(middles)[1], strict=True):
-            if stretches and np.sign(rpm) == way and stretches[-1][1] == start:
+        for (start, stop), speed in zip(pairwise(edges), self._mean(middles)[1], strict=True):
+            if stretches and np.sign(speed) == way and stretches[-1][1] == start:
                 stretches[-1] = (stretches[-1][0], stop)
-            elif rpm != 0:
+            elif speed != 0:
                 stretches.append((start, stop))
-                way = np.sign(rpm)
+                way = np.sign(speed)
         return tuple(stretches)
 
     def time_at(self, angle_rev: Floats, stretch: tuple[float, float]) -> Floats:
         """Times (s), shape (n,), at which the shaft passes each angle in a stretch, exact to round-off.
 
         ``angle_rev``: crank angles (n,), revolutions, within the stretch; quickest in sequence. ``stretch``: first and
-        last time, of :meth:`stretches` or within one. Raises RequestError for an angle outside.
+        last time, of :meth:`stretches` or within one. An angle outside counts as the nearer end.
         """
         angles = np.ascontiguousarray(angle_rev, dtype=np.float64)
         if not angles.size:
@@ -380,21 +239,37 @@ class Motion:
         knots = self._knots(*stretch)
         passed = self.at(knots)[0]
         way = 1.0 if passed[-1] >= passed[0] else -1.0
-        first, last = way * passed[0], way * passed[-1]
-        slack = 1e-11 * max(1.0, abs(first), abs(last))
-        low, high = float((way * angles).min()), float((way * angles).max())
-        if not (first - slack <= low and high <= last + slack):
-            problem = "the shaft does not pass this angle in the stretch"
-            allowed = f"{passed[0]:.17g} … {passed[-1]:.17g} rev"
-            raise RequestError(problem, found=f"{way * (low if low < first else high):.17g} rev", allowed=allowed)
-        sequence = None if np.all(way * np.diff(angles) >= 0) else np.argsort(way * angles, kind="stable")
-        sorted_rev = np.clip(angles if sequence is None else angles[sequence], passed.min(), passed.max())
-        times = np.empty(angles.size)
-        knot_rev = way * np.maximum.accumulate(way * passed)
-        fill_times(sorted_rev, knots, knot_rev, way, self._numbers, np.zeros(TERMS), times)
-        if sequence is not None:
-            times[sequence] = times.copy()
+        angles = np.clip(angles, passed.min(), passed.max())
+        part = np.searchsorted(np.maximum.accumulate(way * passed), way * angles, side="right") - 1
+        part = np.clip(part, 0, knots.size - 2)
+        target, gas_rev = self._mean_of_crank(angles)
+        low, high = knots[part], knots[part + 1]
+        times = 0.5 * (low + high)
+        left = np.arange(angles.size)
+        for _ in range(100):
+            time = times[left]
+            mean, speed, acceleration, _ = self._mean(time)
+            with np.errstate(divide="ignore", invalid="ignore"):  # at a standstill halves of the bracket go on
+                gas = gas_rev[left] * (self._numbers[2] / speed) ** 2
+                miss = way * (mean - gas - target[left])
+                new = time - way * miss / (speed + 2 * gas * acceleration / speed)
+            low[left], high[left] = np.where(miss > 0, (low[left], time), (time, high[left]))
+            inside = (low[left] <= new) & (new <= high[left])
+            new = np.where(inside, new, 0.5 * (low[left] + high[left]))
+            new = np.where(np.abs(miss) <= 2 * ROUND_OFF * (1 + np.abs(target[left])), time, new)
+            times[left] = new
+            left = left[np.abs(new - time) > ROUND_OFF * np.abs(new)]
+            if not left.size:
+                break
         return times
+
+    def _mean_of_crank(self, angle_rev: Floats) -> tuple[Floats, Floats]:
+        """Mean angle (rev) of crank angles (n,) without the gas part of the lag, and that part for a share of 1."""
+        table, step, _, _ = self._numbers
+        parts = np.zeros((2, angle_rev.size))
+        if len(table):
+            fill_lag(angle_rev, table, step, parts)
+        return angle_rev + parts[0], parts[1]
 
     @cached_property
     def _lag(self) -> Lag | None:
@@ -414,24 +289,49 @@ class Motion:
         return np.array([row for row in rows if row[1] > least], dtype=np.float64).reshape(-1, 3)
 
     @cached_property
-    def _numbers(self) -> tuple[Floats, Floats, Floats, Floats, float, float, float]:
-        """What the compiled passes need, in the sequence in which they take it."""
-        lag, table, step = self._lag, np.zeros((0, 5)), 0.0
-        if lag is not None:
-            columns = (lag.order, lag.inertia.real, lag.inertia.imag, lag.gas.real, lag.gas.imag)
-            table, step = _filled(np.stack(columns, axis=1), lag.step)
-        gas = lag is not None and lag.has_gas
-        reference, slowest = (lag.reference_rpm / 60, lag.slowest_rpm / 60) if gas and lag is not None else (0.0, 0.0)
-        start = self.start_rev if lag is None else self.start_rev + float(lag.at(self.start_rev, self._mean_rpm(0.0)))
-        pieces = _pieces(self._points, start)
-        return np.array(self.corner_s, dtype=np.float64), pieces, self._wobbles, table, step, reference, slowest
+    def _numbers(self) -> tuple[Floats, float, float, float]:
+        """What :func:`follow_lag` needs of the lag, in the sequence in which it takes it."""
+        lag = self._lag
+        if lag is None:
+            return np.zeros((0, 5)), 0.0, 0.0, 0.0
+        columns = (lag.order, lag.inertia.real, lag.inertia.imag, lag.gas.real, lag.gas.imag)
+        reference, slowest = (lag.reference_rpm / 60, lag.slowest_rpm / 60) if lag.has_gas else (0.0, 0.0)
+        return *_filled(np.stack(columns, axis=1), lag.step), reference, slowest
 
-    def _mean(self, time_s: Floats, piece: int = -1) -> Floats:
-        """Angle, speed and acceleration without the lag, shape (3, n)."""
-        out = np.empty((3, time_s.size))
-        no_lag = np.zeros((0, 5)), 0.0, 0.0, 0.0
-        fill_motion(time_s, piece, (*self._numbers[:3], *no_lag), np.empty(BLOCK), np.empty(TERMS), out)
-        return out
+    @cached_property
+    def _formulas(self) -> Floats:
+        """Time, mean angle, speed and acceleration (rev, s) at a place of each piece, shape (piece, 4)."""
+        return _pieces(self._points, self.mean_start_rev)
+
+    def _mean(self, time_s: Floats, piece: int | None = None) -> Floats:
+        """Angle, speed, acceleration and its rate (rev, s) without the lag, shape (4, n)."""
+        number = np.searchsorted(self.corner_s, time_s, side="right") if piece is None else np.full(time_s.shape, piece)
+        start_s, angle, speed, rate = self._formulas[number].T
+        after = time_s - start_s
+        straight = [angle + after * (speed + 0.5 * rate * after), speed + rate * after, rate, np.zeros_like(rate)]
+        return np.array(straight) + self._wobble(time_s) if len(self._wobbles) else np.array(straight)
+
+    def _wobble(self, time_s: Floats) -> Floats:
+        """Angle of the wobbles from time 0 and its three derivatives, shape (4, n): power series about even knots."""
+        frequency, swing, phase = self._wobbles.T
+        number = np.rint(time_s * (math.pi * frequency.max() / REACH_RAD))
+        first = np.flatnonzero(np.diff(number, prepend=np.inf))
+        knot_s = number[first, None] * (REACH_RAD / (math.pi * frequency.max()))
+        series = np.repeat(np.arange(first.size), np.diff(first, append=time_s.size))
+        after = time_s - knot_s[series, 0]
+        rate, half = 2 * np.pi * frequency, np.pi * frequency * knot_s
+        terms = [(2 * swing / rate * np.cos(2 * np.pi * phase + half) * np.sin(half)).sum(axis=1)]
+        turned = swing * np.exp(2j * (np.pi * phase + half))
+        for power in range(1, TERMS):
+            terms.append(turned.real.sum(axis=1) / power)
+            turned *= 1j * rate / power
+        angle, speed, bend, twist = np.zeros((4, time_s.size))
+        for term in reversed(terms):
+            twist = twist * after + bend
+            bend = bend * after + speed
+            speed = speed * after + angle
+            angle = angle * after + term[series]
+        return np.array([angle, speed, 2 * bend, 6 * twist])
 
     def _mean_rpm(self, time_s: float) -> float:
         rpm = float(np.interp(time_s, *np.transpose(self.corners)))
@@ -445,42 +345,22 @@ class Motion:
         grids = [np.linspace(*ends, n, endpoint=False) for ends, n in zip(pairwise(cuts), parts, strict=True)]
         return np.concatenate([*grids, [stop_s]])
 
-    def _zero_speed_s(self, cuts: list[float]) -> list[float]:
-        """Times at which the mean speed is or crosses zero; between two of ``cuts`` its slope has no jump."""
-        if not len(self._wobbles):
-            crossings = []
-            for (start, before), (stop, after) in pairwise([(time, self._mean_rpm(time)) for time in cuts]):
-                if before * after < 0:
-                    crossings.append(start + before / (before - after) * (stop - start))
-            return crossings
-        slope = 2 * np.pi * np.abs(self._wobbles[:, 0] * self._wobbles[:, 1]) * 60
-        straight = [abs(after - before) / (stop - start) for (start, before), (stop, after) in pairwise(self._points)]
-        steepest = float(slope.sum()) + max(straight)
-        bent = float((2 * np.pi * self._wobbles[:, 0] * slope).sum())
-        low, high = np.array(cuts[:-1]), np.array(cuts[1:])
-        crossings = []
-        for _ in range(200):
-            middle, half = 0.5 * (low + high), 0.5 * (high - low)
-            _, rpm, rate = self._mean(middle)
-            near = (np.abs(rpm) <= steepest * half) & (half > 1e-15 * (1 + np.abs(middle)))
-            one_way = (np.abs(rate) > bent * half) | (low.size > MOST_SPANS)
-            crossings += self._crossings(low[near & one_way], high[near & one_way])
-            low, middle, high = low[near & ~one_way], middle[near & ~one_way], high[near & ~one_way]
-            low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
-            if not low.size:
-                break
-        return crossings
+    def _zero_speed_s(self, cuts: list[float]) -> Floats:
+        """Times at which the mean speed is or crosses zero: between two of its turning points it does so once."""
+        knots = self._knots(cuts[0], cuts[-1])
+        turning = self._roots(2, knots) if len(self._wobbles) else knots[:0]
+        return self._roots(1, np.sort(np.concatenate([knots, turning])))
 
-    def _crossings(self, low: Floats, high: Floats) -> list[float]:
-        """Where the mean speed, which rises or falls throughout from each ``low`` to ``high``, is zero."""
-        below, above = self._mean(low)[1], self._mean(high)[1]
-        change = below * above <= 0
-        low, high, rising = low[change], high[change], (above > below)[change]
+    def _roots(self, row: int, grid_s: Floats) -> Floats:
+        """Times at which the mean speed (``row`` 1) or acceleration (2) is zero at or changes sign between points."""
+        value = self._mean(grid_s)[row]
+        change = value[:-1] * value[1:] < 0
+        low, high, rising = grid_s[:-1][change], grid_s[1:][change], value[1:][change] > 0
         for _ in range(80):
             middle = 0.5 * (low + high)
-            passed = (self._mean(middle)[1] > 0) == rising
+            passed = (self._mean(middle)[row] > 0) == rising
             low, high = np.where(passed, low, middle), np.where(passed, middle, high)
-        return [float(time) for time in 0.5 * (low + high)]
+        return np.concatenate([grid_s[value == 0], 0.5 * (low + high)])
 
 
 def wander_wobbles(

@@ -99,13 +99,11 @@ def shaped_noise(
 
     ``stream``: where the randomness comes from. ``density``: ≥ 0 at the bins of a real transform of an even length of
     at least ``n_samples`` samples, shape (length // 2 + 1,); take the length from :func:`padded_length`.
-    ``rate_hz``: samples per second. ``n_samples``: how many are kept, ≥ 1. Raises ValueError for too few bins.
+    ``rate_hz``: samples per second. ``n_samples``: how many are kept, ≥ 1.
     """
     from scipy.fft import irfft
 
     n_padded = 2 * (density.size - 1)
-    if n_padded < n_samples:
-        raise ValueError(f"{density.size} bins make {n_padded} samples of noise, not {n_samples}")
     spectrum = white_spectrum(stream, 1.0, rate_hz=rate_hz, n_samples=n_padded)
     spectrum *= density.astype(np.float32)
     noise: NDArray[np.float32] = irfft(spectrum, n=n_padded, overwrite_x=True)[:n_samples]
@@ -157,7 +155,6 @@ def _is_level(density: Callable[[Floats], Floats], from_hz: float) -> bool:
     return bool(np.ptp(values) <= 1e-9 * np.max(values))
 
 
-Density = Floats
 RINGING_TIMES = 6.0
 """Decay times of the slowest mode after which a noise record no longer remembers its other end (e⁻⁶ = 0.25 %)."""
 SHAPED_TAIL = 8
@@ -180,8 +177,8 @@ class Floor:
 
     n_padded: int
     response: Callable[[], Iterable[NDArray[np.complex64]]]
-    sensor: Density | None
-    coloured: tuple[Density, ...]
+    sensor: Floats | None
+    coloured: tuple[Floats, ...]
 
 
 def floor_of(scene: Scene, rate_hz: float) -> Floor:
@@ -194,13 +191,13 @@ def floor_of(scene: Scene, rate_hz: float) -> Floor:
 
     def response() -> Iterator[NDArray[np.complex64]]:
         for start in range(0, n_bins, BINS_AT_ONCE):
-            some: Density = np.arange(start, min(start + BINS_AT_ONCE, n_bins), dtype=np.float64) * (rate_hz / n_padded)
+            some: Floats = np.arange(start, min(start + BINS_AT_ONCE, n_bins), dtype=np.float64) * (rate_hz / n_padded)
             yield _gain(scene, scene.structure, some).astype(np.complex64)
 
     held = tuple(response()) if scene.broadband is not None and n_bins <= MOST_HELD_BINS else ()
     # the sensors' noise has a length of its own: that of the forces' transform depends on whether there are any
     n_shaped = padded_length(scene.n_samples, scene.n_samples // SHAPED_TAIL)
-    frequency: Density = np.arange(n_shaped // 2 + 1, dtype=np.float64) * (rate_hz / n_shaped)
+    frequency: Floats = np.arange(n_shaped // 2 + 1, dtype=np.float64) * (rate_hz / n_shaped)
     shapes_sensors = scene.sensor_noise and scene.filter
     sensor = folded_density(np.ones_like, scene.filter, rate_hz, frequency) if shapes_sensors else None
     coloured = tuple(_coloured_density(scene, k, frequency, rate_hz) for k in range(len(scene.coloured_noise)))
@@ -236,7 +233,7 @@ def noise_signal(scene: Scene, run: Run, floor: Floor) -> NDArray[np.float32]:
     return noise
 
 
-def floor_density(scene: Scene, frequency_hz: Density, structure: Structure, rate_hz: float) -> Density:
+def floor_density(scene: Scene, frequency_hz: Floats, structure: Structure, rate_hz: float) -> Floats:
     """One-sided amplitude density (m/s²/√Hz) of all noise of ``scene`` after sampling, shape (channel, frequency).
 
     ``frequency_hz``: shape (frequency,), below half of ``rate_hz``. ``structure``: the scene's own, or one that lacks a
@@ -261,7 +258,7 @@ def _driven_axes(scene: Scene) -> tuple[Axis, ...]:
     return tuple(axis for axis in AXES if forces.get(axis))
 
 
-def _gain(scene: Scene, structure: Structure, frequency_hz: Density) -> Complexes:
+def _gain(scene: Scene, structure: Structure, frequency_hz: Floats) -> Complexes:
     """Response (channel, driven axis, frequency) of the recorded channels to the white part of the forces."""
     assert scene.broadband is not None
     rows = [AXES.index(axis) for axis in _driven_axes(scene)]
@@ -270,7 +267,7 @@ def _gain(scene: Scene, structure: Structure, frequency_hz: Density) -> Complexe
     return gain if scene.filter is None else gain * scene.filter.response(frequency_hz)
 
 
-def _coloured_density(scene: Scene, number: int, frequency_hz: Density, rate_hz: float) -> Density:
+def _coloured_density(scene: Scene, number: int, frequency_hz: Floats, rate_hz: float) -> Floats:
     part = scene.coloured_noise[number]
     if scene.filter is None:
         return density_through_points(part, frequency_hz)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TypeGuard
 
 import h5py
 import numpy as np
@@ -111,34 +111,22 @@ def _encoder(encoder: Encoder, labels: WrongLabels) -> dict[str, object]:
 
 def toml_text(table: Mapping[str, object], prefix: str = "") -> str:
     """TOML text of ``table``: plain values first, then its tables and lists of tables under ``prefix``."""
-    tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
-    lists = {key: value for key, value in table.items() if _is_list_of_tables(value)}
-    lines = [f"{_key(key)} = {_value(value)}" for key, value in table.items() if key not in tables and key not in lists]
-    text = "".join(f"{line}\n" for line in lines)
-    for key, inner in tables.items():
-        path = f"{prefix}{_key(key)}"
-        text += f"\n[{path}]\n{toml_text(inner, f'{path}.')}"
-    for key, items in lists.items():
-        path = f"{prefix}{_key(key)}"
-        text += "".join(f"\n[[{path}]]\n{toml_text(item, f'{path}.')}" for item in items)
-    return text
+    plain, tables, lists = "", "", ""
+    for key, value in table.items():
+        name = key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_value(key)
+        path = f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            tables += f"\n[{path}]\n{toml_text(value, f'{path}.')}"
+        elif isinstance(value, list | tuple) and value and all(isinstance(entry, Mapping) for entry in value):
+            lists += "".join(f"\n[[{path}]]\n{toml_text(entry, f'{path}.')}" for entry in value)
+        else:
+            plain += f"{name} = {_toml_value(value)}\n"
+    return plain + tables + lists
 
 
-def _key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _value(key)
-
-
-def _is_list_of_tables(value: object) -> TypeGuard[Sequence[Mapping[str, object]]]:
-    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(item, Mapping) for item in value)
-
-
-def _value(value: object) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_value(item) for item in value)}]"
-    if isinstance(value, str):
-        # the one character where TOML is stricter
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return json.dumps(value)
+def _toml_value(value: object) -> str:
+    # the one character where TOML is stricter than JSON
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 MANIFEST, TRUTH, ENGINE = "run.toml", "truth.json", "engine.toml"
@@ -179,12 +167,13 @@ def write_scene(
         for repeat, faults in enumerate(_write_recordings(scene, folders, progress)):
             if faults:
                 _write_truth(Truth({**truths[repeat], "quality": faults}), folders[repeat])
+        ours = scene.engine_file in shipped("engines")
         for repeat, place in enumerate(folders):
-            ours = scene.engine_file in shipped("engines")
             if not ours:
                 engine = scene.engine.model_dump(exclude_none=True, exclude_defaults=True)
-                _publish_text(place / ENGINE, toml_text(engine))
-            _publish_text(place / MANIFEST, manifest_text(scene, scene.engine_file if ours else ENGINE, repeat))
+                _publish(place / ENGINE, partial(Path.write_bytes, data=toml_text(engine).encode()))
+            manifest = manifest_text(scene, scene.engine_file if ours else ENGINE, repeat)
+            _publish(place / MANIFEST, partial(Path.write_bytes, data=manifest.encode()))
         return folders
     except OSError as error:
         if isinstance(error, EnvironmentFailure):
@@ -209,10 +198,9 @@ def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticReco
         axis = {"samples_per_rev": scene.sampling.samples_per_rev}
         stated = {"start_deg": 0.0, "speed_rpm": run.speed_rpm}
     columns: dict[str, tuple[NDArray[np.generic] | None, dict[str, Attribute]]] = {}
-    unit = "m/s2" if scene.acquisition.sensitivity_mv_per_g is None else "V"
     packing = {} if recording.recorded.scale is None else {"scale_factor": recording.recorded.scale}
     for channel, samples in zip(scene.channels, recording.recorded.samples, strict=True):
-        columns[channel.source] = samples, {"unit": unit, **packing, **axis}
+        columns[channel.source] = samples, {"unit": recording.recorded.unit, **packing, **axis}
     if recording.encoder is not None:
         columns[TRACE] = recording.encoder.trace, {"unit": "V", **axis}
         columns[INDEX] = recording.encoder.index, {"unit": "1", **axis}
@@ -224,7 +212,8 @@ def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticReco
 
 
 def _write_truth(truth: Truth, folder: Path) -> None:
-    _publish_text(folder / TRUTH, f"{json.dumps(truth, ensure_ascii=False, indent=1, allow_nan=False)}\n")
+    text = f"{json.dumps(truth, ensure_ascii=False, indent=1, allow_nan=False)}\n"
+    _publish(folder / TRUTH, partial(Path.write_bytes, data=text.encode()))
 
 
 def _write_recordings(
@@ -268,7 +257,7 @@ def _claimed(scene: Scene, folder: Path) -> list[Path]:
     folders = [folder / REPEAT_NAME.format(repeat + 1) for repeat in range(scene.repeats)]
     if folder.is_dir():
         ours = re.compile(REPEAT_NAME.format("[0-9]+"))
-        _refuse(folder, [path.name for path in folder.iterdir() if not ours.fullmatch(path.name)])
+        _refuse(folder, {path.name for path in folder.iterdir() if not ours.fullmatch(path.name)})
     folder.mkdir(parents=True, exist_ok=True)
     for place in sorted({*folder.iterdir(), *folders}):
         _claim(place)
@@ -286,35 +275,23 @@ def _claim(folder: Path) -> None:
         raise RequestError("not a folder", file=folder, remedy="Name a new folder")
     folder.mkdir(parents=True, exist_ok=True)
     present = {path.name for path in folder.iterdir() if path.suffix != ".part"}  # left by a write that was cut off
-    if not present:
-        return
-    former = _former_recordings(folder / TRUTH)
-    if former is None:
-        _refuse(folder, list(present))
+    try:
+        truth = json.loads((folder / TRUTH).read_text(encoding="utf-8"))
+        former = {str(record["name"]) for record in truth["recordings"] if truth["scene"] is not None}
+    except (OSError, ValueError, LookupError, TypeError):
+        _refuse(folder, present)
         return
     for name in (MANIFEST, *sorted(former & present)):
-        (folder / name).unlink(missing_ok=True)
+        if name == MANIFEST or RECORDING_NAME.fullmatch(name):
+            (folder / name).unlink(missing_ok=True)
 
 
-def _refuse(folder: Path, strange: list[str]) -> None:
+def _refuse(folder: Path, strange: set[str]) -> None:
+    """Raise RequestError where ``folder`` holds ``strange`` files."""
     if strange:
         problem = "the folder is not empty and was not written by a scene"
         allowed = "a new or empty folder, or one of a former scene"
         raise RequestError(problem, file=folder, found=", ".join(sorted(strange)[:5]), allowed=allowed)
-
-
-def _former_recordings(truth: Path) -> set[str] | None:
-    """File names of the recordings that a former scene wrote, None where ``truth`` is not a scene's."""
-    try:
-        content = json.loads(truth.read_text(encoding="utf-8"))
-        names = {str(record["name"]) for record in content["recordings"] if "scene" in content}
-    except (OSError, ValueError, LookupError, TypeError):
-        return None
-    return {name for name in names if RECORDING_NAME.fullmatch(name)} if "scene" in content else None
-
-
-def _publish_text(path: Path, text: str) -> None:
-    _publish(path, lambda part: part.write_bytes(text.encode()))
 
 
 def _publish(path: Path, fill: Callable[[Path], object]) -> None:
@@ -512,12 +489,10 @@ def _lines(scene: Scene) -> list[dict[str, Json]]:
         for name, amplitude in tone.amplitude_m_s2.items()
         if share * amplitude
     ]
-    for shaft in scene.other_shafts:
-        orders = [injected.order for injected in scene.injected_orders if injected.shaft == shaft.name]
-        if shaft.rpm is not None:
-            for order in orders:
-                hertz = [order * rpm / 60 for rpm in shaft.rpm]
-                records.append({"shaft": shaft.name, "order_of_shaft": order, "frequency_hz": hertz})
+    for shaft, injected in product(scene.other_shafts, scene.injected_orders):
+        if shaft.rpm is not None and injected.shaft == shaft.name:
+            hertz = [injected.order * rpm / 60 for rpm in shaft.rpm]
+            records.append({"shaft": shaft.name, "order_of_shaft": injected.order, "frequency_hz": hertz})
     return records
 
 

@@ -36,12 +36,7 @@ from crankorder.comparison import (
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Findings, ModeFinding, TrialBalance
-from crankorder.identify.changes.mass_change import (
-    balance_changes,
-    trial_mass,
-    unbalance_change,
-    unbalance_record,
-)
+from crankorder.identify.changes.mass_change import balance_changes, trial_mass, unbalance_change
 from crankorder.identify.changes.order_changes import NUMBERS as ORDER_CHANGES
 from crankorder.identify.changes.order_changes import (
     TO_DB,
@@ -90,11 +85,10 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     modes = _mode_shifts(base.findings, new.findings) if "modes" in base.comparable & new.comparable else []
     units = [{channel.name: channel.unit for channel in test.findings.channels} for test in tests]
     shared = [name for name in channels if all(of_test.get(name) == units[0][name] for of_test in units)]
-    unbalances = [(c, u) for c in changes if c.order in (1.0, 2.0) and (u := unbalance_change(c))]
-    records = tuple(unbalance_record(unbalance, changed=change.changed) for change, unbalance in unbalances)
-    explaining = [unbalance for change, unbalance in unbalances if change.changed and unbalance.explains]
-    added, unreadable = _masses_between(base, new)
-    trial, trial_reason = _trial_mass(base, new, added)
+    unbalances = [found for c in changes if c.order in (1.0, 2.0) and (found := unbalance_change(c))]
+    records = tuple(record for record, _ in unbalances)
+    explaining = [factor for record, factor in unbalances if record.explains]
+    trial, trial_reason = _trial_mass(base, new)
     order_records = tuple(_order_record(change, _explained(change, base, new)) for change in changes)
     mode_records = tuple(sorted(_with_claims(modes, q=q), key=lambda mode: mode.frequency_hz))
     trends = tuple(_with_claims(run_trends(tests, orders, shared, within_rpm=within), q=q))
@@ -108,7 +102,7 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
         schema_version=SCHEMA_VERSION, base=base.name, new=new.name, runs=tuple(test.name for test in tests),
         false_discovery_rate=q, headline=(), cause=_explanation(order_records, mode_records, records, trends),
         speeds=speeds, channels=tuple(compared_channels), orders=order_records,
-        modes=mode_records, unbalance=records, trial_mass=trial, trial_mass_reason=unreadable or trial_reason,
+        modes=mode_records, unbalance=records, trial_mass=trial, trial_mass_reason=trial_reason,
         balance=balance_changes(base.findings, new.findings, explaining), balance_reason=why_not,
         trend=trends, confounds=tuple(doubts),
     )  # fmt: skip
@@ -246,27 +240,20 @@ def _mode_shift(base: ModeFinding, new: ModeFinding) -> ModeShift:
     )  # fmt: skip
 
 
-def _masses_between(base: Tested, new: Tested) -> tuple[tuple[AddedMass, ...], str]:
-    """Masses put on between two tests, below 0 where taken off, as the manifests state; and why they cannot be read.
+def _trial_mass(base: Tested, new: Tested) -> tuple[TrialBalance | None, str]:
+    """Residual unbalance before and after a change of mass that the manifests state, or None and why; "" without one.
 
-    A mass that both tests have is no difference.
+    A mass that both tests have is no difference; one that was taken off is below 0. No engine is needed for masses on
+    the shaft.
     """
     lists = [(test.run.get("manifest") or {}).get("added_masses") or [] for test in (base, new)]
     try:
         stated = [Counter(AddedMass.model_validate_json(json.dumps(mass)) for mass in masses) for masses in lists]
     except ValidationError as error:
-        return (), f"the stated masses cannot be read: {error.errors()[0]['msg']}"
+        return None, f"the stated masses cannot be read: {error.errors()[0]['msg']}"
     put_on, taken_off = stated[1] - stated[0], stated[0] - stated[1]
     off = [mass.model_copy(update={"mass_g": -mass.mass_g}) for mass in taken_off.elements()]
-    return (*put_on.elements(), *off), ""
-
-
-def _trial_mass(base: Tested, new: Tested, added: tuple[AddedMass, ...]) -> tuple[TrialBalance | None, str]:
-    """Residual unbalance before and after a known change of mass, or None and why; "" where no mass was changed.
-
-    No engine is needed for masses on the shaft.
-    """
-    maps, engine = order_maps((base, new)), None
+    maps, engine, added = order_maps((base, new)), None, (*put_on.elements(), *off)
     if not added or not maps:
         return None, "not both tests have an order map" if added else ""
     if base.run.get("engine"):

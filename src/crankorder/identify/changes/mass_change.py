@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,49 +40,25 @@ _ORDERS_OF = {"along_g": (1.0,), "residual_second_order_g": (2.0,), "residual_re
 """Orders whose ratio is that of a mass along the cylinder."""
 
 
-@dataclass(frozen=True, eq=False)
-class Unbalance:
-    """What became of an order's unbalance between two tests, in one channel.
+class Factor(NamedTuple):
+    """Unbalance of an ``order`` after over that before, complex, with the standard error of each part and its freedom.
 
-    ``factor`` (complex) is the unbalance after over that before, whatever path leads from it to the sensor, because the
-    path is the same in both tests; ``factor_error`` is the standard error of each of its parts with ``freedom``.
-    ``factor_fits`` is the chance of a worse fit of one factor at all speeds, NaN for one speed. ``square_law`` is the
-    change of the phasor at ``reference_rpm`` if it grows with the square of speed at one phase (a rigid path),
-    ``square_law_error`` its standard error, ``square_law_fits`` as for the factor.
+    It does not depend on the path from the unbalance to the sensor, because both tests have the same.
     """
 
-    channel: str
     order: float
-    unit: str
-    speed_rpm: Floats
-    factor: complex
-    factor_error: float
+    value: complex
+    error: float
     freedom: float
-    factor_fits: float
-    reference_rpm: float
-    square_law: complex
-    square_law_error: float
-    square_law_fits: float
-
-    @property
-    def half(self) -> float:
-        """Half width of the 95 % interval of the factor's size."""
-        return half_width(self.freedom) * self.factor_error
-
-    @property
-    def explains(self) -> bool:
-        """Whether one factor fits at all speeds and is not 1 within its 95 % interval."""
-        fits = np.isnan(self.factor_fits) or self.factor_fits >= NUMBERS.fit_chance
-        radius = float(np.sqrt(2.0 * fdtri(2.0, self.freedom, 0.95))) * self.factor_error
-        return bool(fits and abs(self.factor - 1.0) > radius)
 
 
-def unbalance_change(change: OrderChange) -> Unbalance | None:
-    """What became of the unbalance that ``change``, of an order locked to the shaft, shows.
+def unbalance_change(change: OrderChange) -> tuple[UnbalanceRecord, Factor] | None:
+    """What became of the unbalance that ``change``, of an order locked to the shaft, shows, and its factor.
 
     None where fewer than one speed has phases in both tests, or the first test does not show the order clearly.
     The factor is the maximum-likelihood slope of a line through the origin with errors in both phasors
-    (Fuller 1987, Measurement Error Models, sec. 1.3).
+    (Fuller 1987, Measurement Error Models, sec. 1.3). The square law is the change of the phasor at the fastest speed
+    where it grows with the square of speed at one phase, as on a rigid path.
     """
     before, after = change.base.vector, change.new.vector
     kept = np.isfinite(before) & np.isfinite(after) & (change.base.vector_error > 0) & (change.new.vector_error > 0)
@@ -104,12 +80,22 @@ def unbalance_change(change: OrderChange) -> Unbalance | None:
     freedom = float(np.sum(each_freedom))
     spare = 2.0 * (len(before) - 1)
     scatter = [max(1.0, chi2 / spare) if spare else 1.0 for chi2 in (misfit, law_misfit)]
-    fits = [_chance_of(chi2 / spare, spare, each_freedom) if spare else np.nan for chi2 in (misfit, law_misfit)]
-    return Unbalance(
-        change.channel, change.order, change.unit, speed,
-        complex(factor), float(np.sqrt(variance * scatter[0])), freedom, fits[0],
-        reference, complex(law), float(np.sqrt(1.0 / information * scatter[1])), fits[1],
+    fits = [finite(_chance_of(chi2 / spare, spare, each_freedom)) if spare else None for chi2 in (misfit, law_misfit)]
+    factor_error, law_error = np.sqrt(variance * scatter[0]), np.sqrt(scatter[1] / information)
+    radius = float(np.sqrt(2.0 * fdtri(2.0, freedom, 0.95))) * factor_error
+    explains = (fits[0] is None or fits[0] >= NUMBERS.fit_chance) and abs(factor - 1.0) > radius
+    half, turned = half_width(freedom) * factor_error, _degrees(factor)
+    half_angle = float(np.degrees(np.arcsin(half / abs(factor)))) if half < abs(factor) else None
+    record = UnbalanceRecord(
+        channel=change.channel, order=change.order, unit=change.unit, changed=change.changed,
+        explains=bool(change.changed and explains), factor=abs(factor), factor_ci95=size_interval(factor, half),
+        turned_deg=None if half_angle is None else turned,
+        turned_deg_ci95=None if half_angle is None else (turned - half_angle, turned + half_angle),
+        one_factor_p=fits[0], square_law_amplitude=abs(law),
+        square_law_amplitude_ci95=size_interval(law, half_width(freedom) * law_error),
+        square_law_phase_deg=_degrees(law), square_law_p=fits[1], reference_rpm=reference, n_speeds=len(speed),
     )  # fmt: skip
+    return record, Factor(change.order, factor, float(factor_error), freedom)
 
 
 def _chance_of(mean_square: float, spare: float, freedom: Floats) -> float:
@@ -136,23 +122,6 @@ def _slope(before: Complexes, after: Complexes, error: Floats, error2: Floats) -
     return factor, misfit, float(1.0 / np.sum(np.abs(true) ** 2 / total))
 
 
-def unbalance_record(unbalance: Unbalance, *, changed: bool) -> UnbalanceRecord:
-    """Record of an ``unbalance`` whose order ``changed`` or not."""
-    factor, law, half = unbalance.factor, unbalance.square_law, unbalance.half
-    turned, known_angle = _degrees(factor), half < abs(factor)
-    half_angle = float(np.degrees(np.arcsin(half / abs(factor)))) if known_angle else 180.0
-    return UnbalanceRecord(
-        channel=unbalance.channel, order=unbalance.order, unit=unbalance.unit, changed=changed,
-        explains=changed and unbalance.explains, factor=abs(factor), factor_ci95=size_interval(factor, half),
-        turned_deg=turned if known_angle else None,
-        turned_deg_ci95=(turned - half_angle, turned + half_angle) if known_angle else None,
-        one_factor_p=finite(unbalance.factor_fits), square_law_amplitude=abs(law),
-        square_law_amplitude_ci95=size_interval(law, half_width(unbalance.freedom) * unbalance.square_law_error),
-        square_law_phase_deg=_degrees(law), square_law_p=finite(unbalance.square_law_fits),
-        reference_rpm=unbalance.reference_rpm, n_speeds=len(unbalance.speed_rpm),
-    )  # fmt: skip
-
-
 def _degrees(value: complex) -> float:
     return float(np.degrees(cmath.phase(value)))
 
@@ -164,10 +133,10 @@ class Estimate(NamedTuple):
     error: float
 
 
-def balance_changes(base: Findings, new: Findings, unbalances: Sequence[Unbalance]) -> tuple[BalanceChange, ...]:
+def balance_changes(base: Findings, new: Findings, factors: Sequence[Factor]) -> tuple[BalanceChange, ...]:
     """How the masses of the closed balance changed, the surest way of telling each.
 
-    ``base`` and ``new`` are the findings of both tests; ``unbalances`` what became of orders 1 and 2 in the channels
+    ``base`` and ``new`` are the findings of both tests; ``factors`` those of orders 1 and 2 in the channels
     that a change of unbalance explains. Seen through one path the ratio of an order is that of the masses behind it: a
     balance closed in one test alone tells both, and the error of its path counts for the change only, not for the mass.
     Quantities without such a ratio are subtracted where both tests closed the balance.
@@ -175,7 +144,7 @@ def balance_changes(base: Findings, new: Findings, unbalances: Sequence[Unbalanc
     changes = []
     for quantity in _QUANTITIES:
         masses = [_closed(findings.balance, quantity) for findings in (base, new)]
-        factor = factor_of(unbalances, _ORDERS_OF.get(quantity, ()))
+        factor = factor_of(factors, _ORDERS_OF.get(quantity, ()))
         changes.append(_by_factor(quantity, masses, factor) if factor else _by_difference(quantity, masses))
     return tuple(change for change in changes if change is not None)
 
@@ -186,22 +155,22 @@ def _closed(balance: Balance | None, quantity: str) -> Estimate | None:
     return None if value is None or ends is None else Estimate(float(value), error_of(float(value), ends))
 
 
-def factor_of(unbalances: Sequence[Unbalance], orders: Sequence[float]) -> Estimate | None:
-    """Mass after over mass before, the one real factor of ``orders`` that all their ``unbalances`` agree on.
+def factor_of(factors: Sequence[Factor], orders: Sequence[float]) -> Estimate | None:
+    """Mass after over mass before, the one real factor of ``orders`` that all their ``factors`` agree on.
 
     None where they do not, or lack one of the orders.
     """
-    if not orders or not set(orders) <= {unbalance.order for unbalance in unbalances}:
+    if not orders or not set(orders) <= {factor.order for factor in factors}:
         return None
-    own = [unbalance for unbalance in unbalances if unbalance.order in orders]
-    best = [min((u for u in own if u.order == order), key=lambda u: u.factor_error) for order in orders]
-    weight = np.array([1.0 / max(unbalance.factor_error, 1e-12) ** 2 for unbalance in best])
-    mean = complex(np.sum(weight * np.array([unbalance.factor for unbalance in best])) / weight.sum())
+    own = [factor for factor in factors if factor.order in orders]
+    best = [min((f for f in own if f.order == order), key=lambda f: f.error) for order in orders]
+    weight = np.array([1.0 / max(factor.error, 1e-12) ** 2 for factor in best])
+    mean = complex(np.sum(weight * np.array([factor.value for factor in best])) / weight.sum())
     error = float(weight.sum() ** -0.5)
-    apart = [abs(unbalance.factor - mean) ** 2 / (unbalance.factor_error**2 + error**2) for unbalance in own]
+    apart = [abs(factor.value - mean) ** 2 / (factor.error**2 + error**2) for factor in own]
     if max(apart) > ONE_FACTOR or mean.imag**2 > ONE_FACTOR * error**2 or mean.real <= 0:
         return None
-    return Estimate(mean.real, error * half_width(min(unbalance.freedom for unbalance in best)) / Z95)
+    return Estimate(mean.real, error * half_width(min(factor.freedom for factor in best)) / Z95)
 
 
 def _by_factor(quantity: str, masses: Sequence[Estimate | None], factor: Estimate) -> BalanceChange | None:
