@@ -6,8 +6,11 @@ import atexit
 import contextlib
 import gc
 import os
+import shutil
 import signal
+import stat
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
@@ -16,12 +19,11 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from crankorder.batch.kernels import keep_compiled_kernels
 from crankorder.errors import CrankorderError, EnvironmentFailure, printable
 
 if TYPE_CHECKING:
     from crankorder.batch.plan import Outcome, RunOptions
-    from crankorder.batch.reporting import ReportingProcess
+    from crankorder.batch.publish import ReportingProcess
 
 ReportOptions = Mapping[str, object]
 FOLDER = click.Path(path_type=Path)
@@ -89,6 +91,37 @@ def _open_streams() -> None:
 
 def _terminated(signum: int, frame: object) -> NoReturn:
     raise SystemExit(128 + signum)
+
+
+def keep_compiled_kernels() -> None:
+    """Give numba a folder for its compiled kernels where neither the package's nor the user's can be written.
+
+    Kernels are pickles, which run what they hold: only a folder that is ours alone will do. Where there is none they
+    are compiled again in each run.
+    """
+    package = Path(__file__).parent
+    if "NUMBA_CACHE_DIR" in os.environ or os.access(package, os.W_OK) or _user_cache_can_be_written():
+        return
+    chosen = Path(tempfile.gettempdir()) / f"crankorder-kernels-{os.getuid()}"
+    try:
+        chosen.mkdir(mode=0o700, exist_ok=True)
+        found = chosen.lstat()
+        private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    except OSError:
+        private = False
+    if not private:
+        chosen = Path(tempfile.mkdtemp(prefix="crankorder-kernels-"))
+        atexit.register(shutil.rmtree, chosen, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(chosen)
+
+
+def _user_cache_can_be_written() -> bool:
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
+        existing = next(folder for folder in (home, *home.parents) if folder.exists())
+    except (RuntimeError, OSError, StopIteration):  # a user without a home
+        return False
+    return os.access(existing, os.W_OK)
 
 
 @click.group(cls=Guarded, context_settings={"help_option_names": ["-h", "--help"]})
@@ -267,7 +300,7 @@ def _started(plans: list[Any], jobs: int) -> ReportingProcess:
     import h5py  # noqa: F401  # this and the next are needed by both, so they are loaded before it is split off
     import xarray  # noqa: F401
 
-    from crankorder.batch.reporting import ReportingProcess
+    from crankorder.batch.publish import ReportingProcess
 
     return ReportingProcess(plans, jobs=jobs)
 
@@ -464,7 +497,7 @@ def export(result: Path, to: str, binary: bool, out: Path) -> None:
     uff58: order cuts against rpm and waterfalls of orders and frequencies. csv, parquet: tracks, modes, crossings,
     lines and what else was found, each column with its unit; parquet also the maps.
     """
-    from crankorder.batch.export import export_results
+    from crankorder.batch.publish import export_results
 
     for path in export_results(result, out, to=to, binary=binary):
         click.echo(str(path))
@@ -544,7 +577,6 @@ def demo(out: Path, quick: bool, jobs: int, as_json: bool, quiet: bool, verbose:
 def doctor(out: Path) -> None:
     """Versions, FFTW, free space and a known-answer self-test."""
     import platform
-    import shutil
     from importlib.metadata import PackageNotFoundError, version
 
     import numpy as np

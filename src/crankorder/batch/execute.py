@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -17,9 +19,8 @@ import xarray as xr
 
 from crankorder.batch import result_folder, run_log
 from crankorder.batch.frame_store import FrameStore, PackedResult
-from crankorder.batch.kernels import load_kernels
 from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, publish_index
-from crankorder.batch.reporting import ReportingProcess
+from crankorder.batch.publish import ReportingProcess
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, locked, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.checks.doubts import Doubts, RecordingResult
@@ -28,9 +29,11 @@ from crankorder.engine.forces import orders_made
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Findings, quality_of
 from crankorder.identify.machine_model import Limit, MachineModel, StatedPart, cycle_doubts
+from crankorder.ingest import channel_faults
 from crankorder.ingest.manifest import Manifest
 from crankorder.quantities import QualityFlag, remark
-from crankorder.settings import Settings, toml_table
+from crankorder.settings import Settings, load_settings, toml_table
+from crankorder.shaft import pulses
 from crankorder.stages import analyse_recording, analyse_test, compare_recordings, frames_wanted
 
 KINEMATIC_SHARE = 1e-3
@@ -94,7 +97,7 @@ def run_test(
     outcome = Outcome(plan, faults=list(plan.faults))
     clock = _Clock(outcome.seconds)
     try:
-        (code, versions), hashes = reporting.program(), reporting.hashes(plan)
+        (code, versions), hashes = reporting.program, reporting.hashes(plan)
         plan, altered = plan.without_altered({path: one.sha256 for path, one in hashes.items()})
         outcome.faults += altered
         clock.lap("hash")
@@ -247,14 +250,12 @@ def _analyse(
             return kept, True, time.perf_counter() - begun
         made = analyse_recording(wanted[number], plan.manifest, plan.settings, engine)
         _check_unchanged(hashed[wanted[number]])
-        packed = PackedResult.of(made)
-        store.save(keys[number], packed)
-        return packed, False, time.perf_counter() - begun
+        kept = store.save(keys[number], PackedResult.of(made))
+        return kept, False, time.perf_counter() - begun
 
-    # where kernels are yet to be compiled, one worker does it, not all at once
-    first = load_kernels()
-    made_in_turn = each(analyse, len(wanted), jobs=options.jobs, one_first=first, timeout_s=options.timeout_s)
-    for count, (number, made) in enumerate(made_in_turn, start=1):
+    load_kernels()
+    answers = functools.partial(each, analyse, len(wanted), jobs=options.jobs, timeout_s=options.timeout_s)
+    for count, (number, made) in enumerate(answers(), start=1):
         path = wanted[number]
         _collect(made, path, plan, hashed[path], results, outcome)
         if progress is not None:
@@ -355,7 +356,7 @@ def _check_unchanged(files: dict[Path, HashedFile]) -> None:
 
 
 def _collect(
-    analysed: Callable[[], Analysed],
+    analysed: Future[Analysed],
     path: Path,
     plan: CampaignPlan,
     hashed: dict[Path, HashedFile],
@@ -365,7 +366,7 @@ def _collect(
     name = plan.name_of(path)
     try:
         _check_unchanged(hashed)
-        results[path], reused, seconds = analysed()
+        results[path], reused, seconds = analysed.result()
         outcome.reused += reused
         event = "recording reused" if reused else "recording computed"
         run_log.tell(event, test=plan.name, recording=name, seconds=round(seconds, 4))
@@ -469,3 +470,11 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
         service_rpm=None if manifest.rotor is None else manifest.rotor.service_rpm,
         two_stroke=manifest.test.cycle == "two-stroke",
     )
+
+
+def load_kernels() -> None:
+    """Load what numba needs before its first kernel runs: a third of a second, once and not in every worker."""
+    trace = np.repeat(np.tile(np.array([0.0, 5.0], dtype=np.float32), 8), 4)
+    channel_faults.survey(trace, size=16)
+    shaft = load_settings().shaft
+    pulses.find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)

@@ -33,9 +33,6 @@ except ImportError:  # Windows
 PAUSE_S = 0.05
 """Between two looks at a lock that another process holds."""
 
-_held: set[int] = set()
-"""Locks of this process: a worker that is forked from it closes them, so that they end with this process."""
-
 WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, getattr(errno, "EBADFD", errno.ENOLCK))
 
 CHUNK = 1 << 18
@@ -212,20 +209,12 @@ def locked(place: Path, *, tell: Callable[[str], object] = lambda text: None) ->
         problem = f"the results cannot be written ({error.strerror or error})"
         remedy = "Choose another --out, or change its rights"
         raise EnvironmentFailure(problem, file=path.parent, remedy=remedy) from error
-    _held.add(handle)
     try:
         yield
     finally:
-        _held.discard(handle)
         with contextlib.suppress(OSError):
             path.unlink()
         os.close(handle)
-
-
-def forget_locks() -> None:
-    """Leave the locks of the process that this one was forked from to that process alone."""
-    while _held:
-        os.close(_held.pop())
 
 
 def _take(path: Path, tell: Callable[[str], object]) -> int:
