@@ -56,7 +56,7 @@ class ReportingProcess:
             self._ask(request)
 
     def _start(self) -> None:
-        self._worker, self._asked = Worker(self._do), list[str]()
+        self._worker, self._asked = Worker(self._do, daemon=False), list[str]()
 
     def _ask(self, request: str, *given: Any) -> None:
         self._asked.append(request)

@@ -41,10 +41,13 @@ class TooLateError(WorkerDiedError):
 class Worker:
     """A process that does ``task`` for each request, in the order in which they are asked."""
 
-    def __init__(self, task: Callable[[Any], Any]) -> None:
-        """Start a worker that does ``task``; it has all that this process has imported and made so far."""
+    def __init__(self, task: Callable[[Any], Any], *, daemon: bool = True) -> None:
+        """Start a worker that does ``task``; it has all that this process has imported and made so far.
+
+        A ``daemon`` ends with this process and has no workers of its own; another must be closed.
+        """
         self.connection, theirs = Pipe()
-        self._process = get_context("fork").Process(target=_serve, args=(task, theirs))
+        self._process = get_context("fork").Process(target=_serve, args=(task, theirs), daemon=daemon)
         gc.freeze()  # what exists stays in pages that both share
         self._process.start()
         gc.unfreeze()
@@ -80,9 +83,9 @@ class Worker:
     def close(self) -> None:
         """End the worker, in the middle of its task if it has one."""
         if not self.connection.closed:
-            self.connection.close()
             self._process.kill()
             self._process.join()
+            self.connection.close()
 
 
 def _serve(task: Callable[[Any], Any], connection: Connection) -> None:
@@ -92,8 +95,9 @@ def _serve(task: Callable[[Any], Any], connection: Connection) -> None:
     ctypes.CDLL(None).prctl(SIGNAL_OF_PARENT_DEATH, signal.SIGKILL)
     keep_freed_memory()
     parent = parent_process()
-    while parent is not None and os.getppid() == parent.pid:
-        connection.send(_answer(task, connection.recv()))
+    with contextlib.suppress(EOFError, OSError):  # the other process has died just now
+        while parent is not None and os.getppid() == parent.pid:
+            connection.send(_answer(task, connection.recv()))
 
 
 def _answer(task: Callable[[Any], Any], request: Any) -> tuple[bool, Any]:
@@ -133,12 +137,13 @@ def each(
                 if timeout_s is not None and begun + timeout_s <= time.monotonic() and not worker.connection.poll():
                     worker.end_late(timeout_s)
             for connection in wait(list(busy), None if timeout_s is None else LOOK_S):
-                worker, number, _ = busy.pop(connection)
+                worker, number, _ = busy[connection]
                 answer: Future[Any] = Future()
                 try:
                     answer.set_result(worker.answer())
                 except Exception as error:
                     answer.set_exception(error)
+                del busy[connection]
                 if left:
                     begin(Worker(task) if worker.connection.closed else worker)
                 else:
