@@ -82,7 +82,7 @@ def test_workers_of_a_worker_end_with_it():
             Worker(hangs)._process.pid,
         ]
 
-    worker = Worker(outer)
+    worker = Worker(outer, daemon=False)
     worker.ask(None)
     (parent, _), left = worker.answer()
     assert parent == worker._process.pid
