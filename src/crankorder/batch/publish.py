@@ -77,6 +77,7 @@ class ReportingProcess:
                 return self._worker.answer()
             except WorkerDiedError as error:
                 died = error
+                self._worker.close()  # it lives where one of its own workers died
                 self._start()
         problem = "the process that hashes and writes ended twice"
         remedy = "Too little memory is the likely cause: try --jobs 1; the other tests go on"
