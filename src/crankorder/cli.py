@@ -6,8 +6,11 @@ import atexit
 import contextlib
 import gc
 import os
+import shutil
 import signal
+import stat
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
@@ -16,12 +19,11 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from crankorder.batch.kernels import keep_compiled_kernels
 from crankorder.errors import CrankorderError, EnvironmentFailure, printable
 
 if TYPE_CHECKING:
     from crankorder.batch.plan import Outcome, RunOptions
-    from crankorder.batch.reporting import ReportingProcess
+    from crankorder.batch.publish import ReportingProcess
 
 ReportOptions = Mapping[str, object]
 FOLDER = click.Path(path_type=Path)
@@ -91,6 +93,37 @@ def _terminated(signum: int, frame: object) -> NoReturn:
     raise SystemExit(128 + signum)
 
 
+def keep_compiled_kernels() -> None:
+    """Give numba a folder for its compiled kernels where neither the package's nor the user's can be written.
+
+    Kernels are pickles, which run what they hold: only a folder that is ours alone will do. Where there is none they
+    are compiled again in each run.
+    """
+    package = Path(__file__).parent
+    if "NUMBA_CACHE_DIR" in os.environ or os.access(package, os.W_OK) or _user_cache_can_be_written():
+        return
+    chosen = Path(tempfile.gettempdir()) / f"crankorder-kernels-{os.getuid()}"
+    try:
+        chosen.mkdir(mode=0o700, exist_ok=True)
+        found = chosen.lstat()
+        private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    except OSError:
+        private = False
+    if not private:
+        chosen = Path(tempfile.mkdtemp(prefix="crankorder-kernels-"))
+        atexit.register(shutil.rmtree, chosen, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(chosen)
+
+
+def _user_cache_can_be_written() -> bool:
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
+        existing = next(folder for folder in (home, *home.parents) if folder.exists())
+    except (RuntimeError, OSError, StopIteration):  # a user without a home
+        return False
+    return os.access(existing, os.W_OK)
+
+
 @click.group(cls=Guarded, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="crankorder", prog_name="crankorder")
 def main() -> None:
@@ -105,6 +138,8 @@ def main() -> None:
 
 CORES, ALL = os.cpu_count() or 1, "all cores"
 _jobs = click.option("--jobs", type=click.IntRange(1), default=CORES, show_default=ALL, help="Recordings at a time.")
+_folders = click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
+_manifest = click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
 _as_json = click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
 _quiet = click.option("-q", "--quiet", is_flag=True, help="Only faults.")
 _verbose = click.option("-v", "--verbose", is_flag=True, help="Also flags, timings, tracebacks.")
@@ -128,9 +163,9 @@ def _picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @main.command()
-@click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
+@_folders
 @click.option("--out", required=True, type=FOLDER, help="Folder for the results; made if missing.")
-@click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
+@_manifest
 @click.option("--name", help="Name of the test and of its folder in OUT; goes before that of the manifest.")
 @click.option("--recipe", help="A shipped recipe or the path of one; goes before that of the manifest.")
 @click.option(
@@ -175,30 +210,22 @@ def run(
     as_json: bool,
     quiet: bool,
     verbose: bool,
-    manifest: Path | None,
-    name: str | None,
-    recipe: str | None,
-    tolerance: float | None,
-    max_memory_mb: int | None,
-    report: ReportOptions,
+    **asked: Any,
 ) -> None:
     """Analyse test-run folders.
 
     One machine: `crankorder run FOLDER --out OUT`. Many: the same with `--shard 1/8` to `--shard 8/8`, each wherever it
     runs, with one OUT; then once with `--reduce`.
     """
-    from crankorder.batch.plan import RunOptions, Shard, plan_tests
+    from crankorder.batch.plan import RunOptions, plan_tests, share_of
 
     if scheduler is not None and (shard is not None or timeout_s is not None):
         raise click.UsageError("--scheduler shares recordings out itself, and ends none: not with --shard or --timeout")
     if shard is not None and reduce:
         raise click.UsageError("--shard keeps what recordings give, --reduce makes the results of it: not both at once")
 
-    planned = plan_tests(
-        list(folders), out, manifest=manifest, recipe=recipe, tolerance=tolerance, max_memory_mb=max_memory_mb,
-        name=name, report=report,
-    )  # fmt: skip
-    plans = planned.tests if shard is None else [Shard.parse(shard).of(plan) for plan in planned.tests]
+    planned = plan_tests(list(folders), out, **asked)
+    plans = planned.tests if shard is None else [share_of(plan, shard) for plan in planned.tests]
     for fault in planned.refused:
         click.echo(f"crankorder: not analysed: {fault}", err=True)
     if dry_run:
@@ -216,10 +243,7 @@ def run(
     from crankorder.batch.run_log import logged, tell
 
     with logged(out, as_json=log_json):
-        tell(
-            "run begun", out=out, tests=len(plans), jobs=jobs, fresh=fresh, strict=strict, shard=shard,
-            scheduler=scheduler,
-        )  # fmt: skip
+        tell("run begun", out=out, tests=len(plans), shard=shard, **vars(options))
         for fault in planned.refused:
             tell("not analysed", why=fault)
         status = _run_plans(plans, out, options, as_json, quiet, verbose)
@@ -244,7 +268,7 @@ def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, 
             out,
             options,
             reporting=reporting,
-            watched=lambda name: _Progress(quiet, name),
+            watched=lambda name: _progress(quiet, name),
             tell=lambda outcome: _say(outcome, quiet, verbose),
             wait=lambda text: click.echo(f"crankorder: {text}", err=True),
         )
@@ -267,7 +291,7 @@ def _started(plans: list[Any], jobs: int) -> ReportingProcess:
     import h5py  # noqa: F401  # this and the next are needed by both, so they are loaded before it is split off
     import xarray  # noqa: F401
 
-    from crankorder.batch.reporting import ReportingProcess
+    from crankorder.batch.publish import ReportingProcess
 
     return ReportingProcess(plans, jobs=jobs)
 
@@ -307,34 +331,24 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
             click.echo(f"  {name}: {seconds:.2f} s", err=True)
 
 
-class _Progress:
-    """A progress bar on stderr, on a terminal only."""
+@contextlib.contextmanager
+def _progress(quiet: bool, label: str) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a progress bar on stderr, on a terminal only; what is given is told of what is done, and of how much."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda _, done, total: None
+        return
+    with click.progressbar(length=1, label=label, file=sys.stderr) as bar:
 
-    def __init__(self, quiet: bool, label: str) -> None:
-        self._shown = sys.stderr.isatty() and not quiet
-        self._label, self._bar, self._done = label, None, 0  # type: str, Any, int
+        def update(_: str, done: int, total: int) -> None:
+            bar.length = total
+            bar.update(done - bar.pos)
 
-    def __enter__(self) -> Callable[[str, int, int], None]:
-        return self.update
-
-    def __exit__(self, *unused: object) -> None:
-        if self._bar is not None:
-            self._bar.render_finish()
-
-    def update(self, _: str, done: int, total: int) -> None:
-        """Show ``done`` of ``total``."""
-        if not self._shown:
-            return
-        if self._bar is None:
-            self._bar = click.progressbar(length=total, label=self._label, file=sys.stderr)
-            self._bar.render_progress()
-        self._bar.update(done - self._done)
-        self._done = done
+        yield update
 
 
 @main.command()
-@click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
-@click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
+@_folders
+@_manifest
 @_jobs
 def check(folders: tuple[Path, ...], manifest: Path | None, jobs: int) -> None:
     """Look at manifest, files and a bounded part of their samples; list every fault at once, change nothing."""
@@ -464,7 +478,7 @@ def export(result: Path, to: str, binary: bool, out: Path) -> None:
     uff58: order cuts against rpm and waterfalls of orders and frequencies. csv, parquet: tracks, modes, crossings,
     lines and what else was found, each column with its unit; parquet also the maps.
     """
-    from crankorder.batch.export import export_results
+    from crankorder.batch.publish import export_results
 
     for path in export_results(result, out, to=to, binary=binary):
         click.echo(str(path))
@@ -513,7 +527,7 @@ def synth(scene: str, out: Path, quick: bool, quiet: bool) -> None:
 def _synthesise(scene: str, out: Path, quick: bool, quiet: bool) -> list[Path]:
     from crankorder.synth.write import write_scene
 
-    with _Progress(quiet, f"synthesise {scene}") as progress:
+    with _progress(quiet, f"synthesise {scene}") as progress:
         return write_scene(scene, out, quick=quick, progress=lambda done, total: progress("", done, total))
 
 
@@ -544,7 +558,6 @@ def demo(out: Path, quick: bool, jobs: int, as_json: bool, quiet: bool, verbose:
 def doctor(out: Path) -> None:
     """Versions, FFTW, free space and a known-answer self-test."""
     import platform
-    import shutil
     from importlib.metadata import PackageNotFoundError, version
 
     import numpy as np

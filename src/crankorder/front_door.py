@@ -23,11 +23,9 @@ from crankorder.batch.balance import balance_of, publish_balance
 from crankorder.batch.balance import document_text as balance_text
 from crankorder.batch.compare import compare_results, publish_comparison
 from crankorder.batch.compare import document_text as comparison_text
-from crankorder.batch.execute import Progress, run_plans
-from crankorder.batch.export import export_results
-from crankorder.batch.in_memory import Recordings, analysed
+from crankorder.batch.execute import Progress, Recordings, analysed, run_plans
 from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, plan_tests
-from crankorder.batch.reporting import ReportingProcess
+from crankorder.batch.publish import ReportingProcess, export_results
 from crankorder.batch.result_folder import RESULTS, read_findings, result_folders
 from crankorder.batch.store import json_bytes
 from crankorder.channel_units import with_real_units

@@ -61,66 +61,45 @@ def amplitude(order_map, rpm, channel):
     return float(rows.values[np.argmin(np.abs(order_map["speed"].values - rpm))])
 
 
-def test_a_dead_channel_is_left_out_alone(tmp_path):
-    flag, order_map = flag_of(tmp_path, "constant_signal", STILL)
-    assert (flag["severity"], flag["left_out"]) == ("bad", "channel")
-    assert np.isnan(amplitude(order_map, 1500.0, "X"))
-    assert amplitude(order_map, 1500.0, "Y") == pytest.approx(1.5, rel=0.01)
-    assert amplitude(order_map, 1800.0, "X") == pytest.approx(3.0, rel=0.01)
+SINCE_OVERLOAD = np.arange(round(RATE * SECONDS)) / RATE - 3.0
+OVERLOAD = np.where(SINCE_OVERLOAD < 0.0, 0.0, 100.0 * np.exp(-np.maximum(SINCE_OVERLOAD, 0.0) / 0.06))
+LEFT_OUT = {
+    "a dead channel": ("constant_signal", STILL, "channel", "bad", None),
+    "an overload with its way back": (
+        "iepe_overload", signals(1500.0, 1)[0] + OVERLOAD, "stretch", "bad", ((3.0, 0.05), (3.35, 0.25)),
+    ),
+    "a lost stretch": ("dropout", spoilt(20_000, 22_000, 0.0), "stretch", "bad", ((4.0, 4e-6), (4.4, 4e-6))),
+    "much between sound stretches": ("dropout", spoilt(20_000, 23_000, 0.7), "channel", "bad", None),
+    "much at the end": ("dropout", spoilt(35_000, 50_000, 0.7), "stretch", "bad", None),
+    "silence at the beginning": ("silence", spoilt(0, 15_000, 0.0), "stretch", "suspect", None),
+    "few levels": ("few_levels", np.round(signals(1500.0, 1)[0] / 3.0) * 3.0, "channel", "bad", None),
+    "samples missing": ("gap", spoilt(10_000, 30_000, np.nan), "channel", "bad", None),
+}  # fmt: skip
+"""Flag, channel X of the first recording, what of it is left out, how bad that is, begin and end in s, each within."""
 
 
-def test_a_lost_stretch_is_left_out_alone(tmp_path):
-    flag, order_map = flag_of(tmp_path, "dropout", spoilt(20_000, 22_000, 0.0))
-    assert (flag["left_out"], flag["begin"], flag["end"]) == ("stretch", pytest.approx(4.0), pytest.approx(4.4))
-    for channel, size in (("X", 3.0), ("Y", 1.5)):
-        assert amplitude(order_map, 1500.0, channel) == pytest.approx(size, rel=0.01)
-
-
-SPOILT = [
-    ("dropout", spoilt(20_000, 23_000, 0.7), "channel", "bad"),  # much between sound stretches
-    ("dropout", spoilt(35_000, 50_000, 0.7), "stretch", "bad"),  # at the end
-    pytest.param("silence", spoilt(0, 15_000, 0.0), "stretch", "suspect", marks=pytest.mark.slow),
-    pytest.param("few_levels", np.round(signals(1500.0, 1)[0] / 3.0) * 3.0, "channel", "bad", marks=pytest.mark.slow),
-]
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize(("kind", "row", "left_out", "severity"), SPOILT)
-def test_a_channel_goes_or_a_stretch_of_it_by_how_much_is_lost_and_where(tmp_path, kind, row, left_out, severity):
+@pytest.mark.cases(4)
+@pytest.mark.parametrize("what", LEFT_OUT)
+def test_a_channel_goes_or_a_stretch_of_it_and_all_else_stays(tmp_path, what):
+    kind, row, left_out, severity, stretch = LEFT_OUT[what]
     flag, order_map = flag_of(tmp_path, kind, row)
     assert (flag["left_out"], flag["severity"]) == (left_out, severity)
+    if stretch is not None:
+        assert [flag["begin"], flag["end"]] == [pytest.approx(at_s, abs=within_s) for at_s, within_s in stretch]
     assert kind != "few_levels" or "-3, 0, 3 alone" in flag["detail"]
     x = amplitude(order_map, 1500.0, "X")
     assert np.isnan(x) if left_out == "channel" else x == pytest.approx(3.0, rel=0.01)
     assert amplitude(order_map, 1500.0, "Y") == pytest.approx(1.5, rel=0.01)
+    assert amplitude(order_map, 1800.0, "X") == pytest.approx(3.0, rel=0.01)
 
 
 @pytest.mark.slow
-def test_a_recording_without_a_sound_channel_is_left_out_as_a_whole(tmp_path):
-    status, findings, order_map = run(tmp_path, {"X": STILL, "Y": STILL})
+@pytest.mark.parametrize("row", [STILL, LEFT_OUT["samples missing"][1]])
+def test_a_recording_without_a_sound_channel_is_left_out_as_a_whole(tmp_path, row):
+    status, findings, order_map = run(tmp_path, {"X": row, "Y": row})
     assert status == 3
     assert not [flag for flag in findings["quality"] if "left_out" in flag]
     assert order_map["speed"].values.min() > 1700.0
-
-
-def test_an_overload_is_left_out_with_its_way_back(tmp_path):
-    since = np.arange(round(RATE * SECONDS)) / RATE - 3.0
-    overload = np.where(since < 0.0, 0.0, 100.0 * np.exp(-np.maximum(since, 0.0) / 0.06))
-    flag, order_map = flag_of(tmp_path, "iepe_overload", signals(1500.0, 1)[0] + overload)
-    assert flag["left_out"] == "stretch"
-    assert flag["begin"] == pytest.approx(3.0, abs=0.05) and 3.1 < flag["end"] < 3.6
-    assert amplitude(order_map, 1500.0, "X") == pytest.approx(3.0, rel=0.01)
-
-
-@pytest.mark.slow
-def test_a_channel_of_which_too_much_is_missing_is_left_out_alone(tmp_path):
-    holed = spoilt(10_000, 30_000, np.nan)
-    flag, order_map = flag_of(tmp_path, "gap", holed)
-    assert (flag["severity"], flag["left_out"]) == ("bad", "channel")
-    assert np.isnan(amplitude(order_map, 1500.0, "X"))
-    assert amplitude(order_map, 1500.0, "Y") == pytest.approx(1.5, rel=0.01)
-    status, _, order_map = run(tmp_path / "both", {"X": holed, "Y": holed})
-    assert status == 3 and order_map["speed"].values.min() > 1700.0
 
 
 # A channel whose gain changed in one recording makes no natural frequency: it takes no part in what is said.

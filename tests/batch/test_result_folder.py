@@ -94,7 +94,7 @@ def test_results_that_were_touched_are_not_finished(tmp_path):
 
 
 @pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EIO])
-@pytest.mark.parametrize("way", ["exchanged", "renamed", "among files of others"])
+@pytest.mark.parametrize("way", ["renamed", "among files of others"])
 @pytest.mark.parametrize("call", CALLS)
 def test_whichever_call_fails_the_old_results_are_whole_or_the_new_ones(tmp_path, monkeypatch, call, way, fault):
     """Each time one more call goes well, until all do."""
@@ -107,8 +107,6 @@ def test_whichever_call_fails_the_old_results_are_whole_or_the_new_ones(tmp_path
         publish(out, OLD, key="old")
         failed = False
         with failing(monkeypatch, call, number, fault) as made:
-            if way == "renamed":
-                monkeypatch.setattr(result_folder, "_exchanged", lambda one, other: False)
             try:
                 publish(out, NEW, key="new")
             except EnvironmentFailure as error:
@@ -155,12 +153,9 @@ def test_whichever_call_fails_each_file_of_the_index_is_the_old_one_or_the_new_o
     raise AssertionError("more calls than were tried")
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("can_exchange", [True, False])
+@pytest.mark.cases(12)
 @pytest.mark.parametrize("steps", range(12))
-def test_a_process_killed_at_any_step_leaves_the_old_results_or_the_new_ones(
-    tmp_path, monkeypatch, steps, can_exchange
-):
+def test_a_process_killed_at_any_step_leaves_the_old_results_or_the_new_ones(tmp_path, monkeypatch, steps):
     """Each call that changes the disk is the last one of the process, in turn."""
     out, left = tmp_path / "out", [steps]
     publish(out, OLD, key="old")
@@ -180,11 +175,7 @@ def test_a_process_killed_at_any_step_leaves_the_old_results_or_the_new_ones(
     with monkeypatch.context() as patched:
         for name in ("rename", "mkdir", "rmdir", "unlink"):
             patched.setattr(os, name, counted(getattr(os, name)))
-        for name in ("write_flushed", "_exchanged"):
-            real = getattr(result_folder, name)
-            if name == "_exchanged" and not can_exchange:
-                real = lambda one, other: False  # noqa: E731
-            patched.setattr(result_folder, name, counted(real))
+        patched.setattr(result_folder, "write_flushed", counted(result_folder.write_flushed))
         patched.setattr(shutil, "rmtree", counted(shutil.rmtree))
         with contextlib.suppress(Killed):
             publish(out, NEW, key="new")

@@ -9,7 +9,6 @@ import jsonschema
 import pytest
 
 import crankorder.batch.execute as execute
-from crankorder.batch.workers import FORKS
 from crankorder.errors import SchemaError
 from crankorder.flow import StagePlan
 from crankorder.quantities import (
@@ -107,7 +106,6 @@ def test_a_noun_that_no_stage_makes_is_named_with_the_way_to_it():
     assert "Recording" in caught.value.place
 
 
-@pytest.mark.skipif(not FORKS, reason="recordings are analysed in threads here")
 def test_a_crash_inside_one_recording_is_the_fault_of_that_recording_alone(two_speeds, tmp_path, monkeypatch):
     sound = execute.analyse_recording
 

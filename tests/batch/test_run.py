@@ -19,11 +19,6 @@ def run(*arguments):
     return crankorder("run", *arguments, "--recipe", "maps", "--no-pictures")
 
 
-def speeds_in(out):
-    made = xr.load_dataset(next(out.glob("*/results.nc")), group="order_map", engine="h5netcdf")
-    return [round(speed) for speed in made["speed"].values]
-
-
 @pytest.fixture(scope="module")
 def analysed(campaign, tmp_path_factory):
     out = tmp_path_factory.mktemp("analysed")
@@ -86,9 +81,10 @@ def test_nothing_of_host_or_time_is_in_run_json(analysed):
     assert str(analysed) not in text
 
 
-def test_the_same_input_gives_the_same_bytes_with_one_worker_and_with_two(four_speeds, tmp_path):
+def test_the_same_input_gives_the_same_bytes_with_one_worker_and_with_two(copied, tmp_path):
+    folder = copied(1500, 1600)
     for jobs in (1, 2):
-        assert crankorder("run", four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs).exit_code == 0
+        assert crankorder("run", folder, "--out", tmp_path / str(jobs), "--jobs", jobs).exit_code == 0
     assert results_in(tmp_path / "1", kept=True) == results_in(tmp_path / "2", kept=True)
 
 
@@ -129,45 +125,33 @@ def test_without_pictures_numbers_and_findings_are_the_same(four_speeds, tmp_pat
         assert (drawn / name).read_bytes() == (bare / name).read_bytes()
 
 
-def test_a_truncated_file_fails_alone_and_the_others_results_are_kept(four_speeds, tmp_path):
+def test_a_truncated_file_a_missing_one_and_a_copy_take_no_other_along(four_speeds, tmp_path):
     path = four_speeds / "rpm_1600.h5"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    outcome = run(four_speeds, "--out", tmp_path / "out")
-    assert outcome.exit_code == 3
-    assert "rpm_1600.h5" in outcome.output and "truncated" in outcome.output
-    assert speeds_in(tmp_path / "out") == [1500, 1700, 1800]
-    flags = findings_in(tmp_path / "out")["quality"]
-    assert [flag["recording"] for flag in flags if flag["severity"] == "bad"] == ["rpm_1600.h5"]
-
-
-def test_a_file_that_the_manifest_names_and_nobody_has_fails_alone(four_speeds, tmp_path):
-    outcome = run(edited(four_speeds, '"rpm_*.h5"', '"rpm_*.h5", "lost.h5"'), "--out", tmp_path / "out")
-    assert outcome.exit_code == 3 and "lost.h5" in outcome.output
-    assert speeds_in(tmp_path / "out") == [1500, 1600, 1700, 1800]
-
-
-def test_an_unknown_channel_names_those_that_the_file_has(four_speeds, tmp_path):
-    outcome = run(edited(four_speeds, '"acc_z"', '"acc_w"'), "--out", tmp_path / "out")
-    assert outcome.exit_code == 4 and "acc_w" in outcome.output and "acc_x" in outcome.output
-
-
-def test_a_wrong_unit_is_refused_before_anything_is_written(four_speeds, tmp_path):
-    outcome = run(edited(four_speeds, '"m/s2"', '"metres"', 1), "--out", tmp_path / "out")
-    assert outcome.exit_code == 2
-    assert "metres" in outcome.output and "m/s2" in outcome.output and "run.toml:" in outcome.output
-    assert not (tmp_path / "out").exists()
-
-
-def test_the_same_recording_twice_is_counted_once(four_speeds, tmp_path):
     shutil.copy(four_speeds / "rpm_1500.h5", four_speeds / "rpm_1500_copy.h5")
-    assert run(four_speeds, "--out", tmp_path / "out").exit_code == 0
-    assert "duplicate_of" in {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
+    outcome = run(edited(four_speeds, '"rpm_*.h5"', '"rpm_*.h5", "lost.h5"'), "--out", tmp_path / "out")
+    assert outcome.exit_code == 3
+    assert "rpm_1600.h5" in outcome.output and "truncated" in outcome.output and "lost.h5" in outcome.output
+    made = xr.load_dataset(next((tmp_path / "out").glob("*/results.nc")), group="order_map", engine="h5netcdf")
+    assert [round(speed) for speed in made["speed"].values] == [1500, 1700, 1800]
+    flags = findings_in(tmp_path / "out")["quality"]
+    assert {flag["recording"] for flag in flags if flag["severity"] == "bad"} == {"rpm_1600.h5", "lost.h5"}
+    assert [flag["recording"] for flag in flags if flag["flag"] == "duplicate_of"] == ["rpm_1500_copy.h5"]
 
 
-def test_results_inside_the_recordings_are_refused(four_speeds):
-    outcome = run(four_speeds, "--out", four_speeds / "results")
-    assert outcome.exit_code == 2
-    assert not (four_speeds / "results").exists()
+@pytest.mark.parametrize(
+    ("old", "new", "status", "words"),
+    [
+        ('"acc_z"', '"acc_w"', 4, ("acc_w", "acc_x")),  # the channels that the file has
+        ('unit = "m/s2"', 'unit = "metres"', 2, ("metres", "m/s2", "run.toml:")),
+        ('"rpm_*.h5"', '"none_*.h5"', 4, ("none_*.h5",)),
+    ],
+)
+def test_what_is_wrong_in_the_manifest_is_told_with_what_is_allowed(copied, tmp_path, old, new, status, words):
+    outcome = run(edited(copied(1500), old, new, 1), "--out", tmp_path / "out")
+    assert outcome.exit_code == status
+    assert all(word in outcome.output for word in words)
+    assert not list(tmp_path.glob("out/*/done.json"))
 
 
 def test_a_missing_folder_and_an_empty_one(tmp_path):
@@ -175,6 +159,7 @@ def test_a_missing_folder_and_an_empty_one(tmp_path):
     (tmp_path / "empty").mkdir()
     outcome = run(tmp_path / "empty", "--out", tmp_path / "out")
     assert outcome.exit_code == 2 and "crankorder init" in outcome.output
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

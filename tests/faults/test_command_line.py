@@ -117,7 +117,7 @@ def test_i7_kernels_are_kept_only_where_nobody_else_can_write(tmp_path):
     guess.chmod(0o777)
     program = (
         "import os, stat; os.access = lambda *unused: False\n"
-        "from crankorder.batch.kernels import keep_compiled_kernels\n"
+        "from crankorder.cli import keep_compiled_kernels\n"
         "keep_compiled_kernels(); place = os.environ['NUMBA_CACHE_DIR']\n"
         "print(place, oct(stat.S_IMODE(os.stat(place).st_mode)))"
     )

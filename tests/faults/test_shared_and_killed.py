@@ -19,15 +19,9 @@ from crankorder.batch.run_log import LOGS
 from made.command import results_in
 from made.processes import children_of, started
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="processes are found by /proc, which Linux has"),
-]
-
 JOBS = 2
 RECORDINGS = 4
 KILLS = 17
-ROUNDS = 50
 
 
 def arguments(*folders, out, jobs=JOBS):
@@ -85,6 +79,7 @@ def kill(process, which, at_s):
     return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["main", "reporting", "recording"])
 @pytest.mark.parametrize("number", range(KILLS))
 def test_f1_i6_whichever_process_is_killed_the_next_run_ends_with_the_same_bytes(
@@ -112,8 +107,10 @@ def test_f1_i6_whichever_process_is_killed_the_next_run_ends_with_the_same_bytes
     print(f"{which} {number}: struck {struck}, status {process.returncode}, kept {len(kept)}, computed again {again}")
 
 
-@pytest.mark.parametrize("processes", [2, 4])
-def test_i5_processes_that_share_a_folder_of_results_lose_nothing_in_fifty_rounds(folder, tmp_path, processes):
+@pytest.mark.parametrize(
+    ("processes", "rounds"), [(2, 1), *(pytest.param(n, 50, marks=pytest.mark.slow) for n in (2, 4))]
+)
+def test_i5_processes_that_share_a_folder_of_results_lose_nothing(folder, tmp_path, processes, rounds):
     """Each analyses two tests, in an order of its own: no false failure, every index entry, the bytes of one alone."""
     two = [tmp_path / "data" / name for name in ("a", "b")]
     for place in two:
@@ -123,7 +120,7 @@ def test_i5_processes_that_share_a_folder_of_results_lose_nothing_in_fifty_round
         (place / "run.toml").write_text(text, encoding="utf-8")
     run(*two, out=tmp_path / "alone", jobs=1)
     alone = results_in(tmp_path / "alone", kept=True)
-    for number in range(ROUNDS):
+    for number in range(rounds):
         out = tmp_path / f"out-{number}"
         with ExitStack() as those:
             lines = [arguments(*two[:: (-1) ** turn], out=out, jobs=1) for turn in range(processes)]

@@ -6,7 +6,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,7 +15,7 @@ import xarray as xr
 from scipy.ndimage import binary_dilation, label, median_filter
 
 from crankorder.batch.compare import refuse_results
-from crankorder.batch.in_memory import analysed, engine_of
+from crankorder.batch.execute import analysed, engine_of
 from crankorder.batch.result_folder import publish, read_document, result_folders
 from crankorder.batch.store import json_bytes, text_sha256
 from crankorder.errors import CrankorderError, RequestError
@@ -170,7 +170,6 @@ def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
     manifest = run["manifest"]
     encoder, test = manifest.get("encoder") or {}, manifest["test"]
     tables = {key: manifest[key] for key in ("bearings", "gears", "motor") if manifest.get(key)}
-    tested = _Tested(settings, str(test.get("cycle") or "rotor"), test.get("engine"), tables)
     stated_hz = float((manifest.get("sampling") or {}).get("rate_hz") or np.inf)
     per_rev = round(float(encoder.get("pulses_per_rev") or 0) * float(encoder.get("ratio") or 1.0))
     campbell, shaft = groups["campbell_map"], groups["shaft"]
@@ -179,21 +178,13 @@ def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
     rate = min(stated_hz, SAMPLES_PER_HZ * highest_hz)
     pulses = per_rev if np.nan_to_num(shaft["n_pulses"].values).max() > 0 else 0
     step = 1.0 / stated_hz if encoder.get("kind") == "square" else 0.0  # of pulses found in a sampled signal
-    twin = Twin(groups["order_tracks"], campbell, groups["order_map"], shaft, rate, pulses, step)
-    return _judged(twin, str(run["test"]), [_draw(twin, tested, number) for number in range(draws)])
+    maps = (groups["order_tracks"], campbell, groups["order_map"], shaft)
+    machine = (str(test.get("cycle") or "rotor"), test.get("engine"), tables)
+    twin = Twin(*maps, rate, pulses, step, settings, *machine)
+    return _judged(twin, str(run["test"]), [_draw(twin, number) for number in range(draws)])
 
 
 _RESULTS = ("order_map", "campbell_map", "order_tracks", "findings")
-
-
-@dataclass(frozen=True)
-class _Tested:
-    """How a test was analysed, and what its manifest states of the machine."""
-
-    settings: Settings
-    cycle: str
-    engine: str | None
-    tables: Mapping[str, object]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +197,7 @@ class _Draw:
     amplitudes: Floats
 
 
-def _draw(twin: Twin, tested: _Tested, number: int) -> _Draw:
+def _draw(twin: Twin, number: int) -> _Draw:
     rng = np.random.default_rng([number, 18])
     probes = probe_orders(twin)
     amplitudes = probe_amplitudes(twin, rng, len(probes))
@@ -214,15 +205,15 @@ def _draw(twin: Twin, tested: _Tested, number: int) -> _Draw:
     rows = zip(coords["channel"].values.astype(str), coords["unit"].values.astype(str), strict=True)
     channels = [{"name": name, "source": place, "unit": unit} for place, (name, unit) in enumerate(rows)]
     recordings = [
-        _recording(recording, channels, tested.cycle, twin.rate_hz, twin.pulses_per_rev, tested.settings)
+        _recording(recording, channels, twin.cycle, twin.rate_hz, twin.pulses_per_rev, twin.settings)
         for recording in twin_recordings(twin, probes, amplitudes, rng)
     ]
-    engine = tested.engine
+    engine = twin.engine
     try:
         engine_of(engine)
     except CrankorderError:  # one that lay beside the recordings
         engine = None
-    groups, findings, _ = analysed(recordings, tested.settings, tables=tested.tables, engine=engine)
+    groups, findings, _ = analysed(recordings, twin.settings, tables=twin.tables, engine=engine)
     return _Draw(groups["order_tracks"], findings, probes, amplitudes)
 
 
@@ -323,7 +314,8 @@ def _twin_text(twin: TwinAccuracy) -> str:
     keys = ("bias_percent", "scatter_percent", "coverage_percent", "intervals", "least_found", "most_missed")
     rows = []
     for row in twin.channels:
-        sizes = [_rounded(getattr(row, key)) for key in keys]
+        values = [getattr(row, key) for key in keys]
+        sizes = [None if value is None else float(f"{value:.3g}") for value in values]
         rows.append((row.channel, f"{row.orders_found} of {row.orders_put_in}", *sizes, row.unit))
     heads = ("channel", "orders found", "bias %", "scatter %", "inside 95 %", "intervals", "found from", "missed up to",
              "unit")  # fmt: skip
@@ -340,10 +332,6 @@ def _twin_text(twin: TwinAccuracy) -> str:
         ),
     ]
     return "\n".join(lines) + "\n"
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else float(f"{value:.3g}")
 
 
 LINE_RATIO, MEDIAN_BINS = 4.0, 41
@@ -363,7 +351,7 @@ CLEARANCE_ORDERS = 0.3
 
 @dataclass(frozen=True)
 class Twin:
-    """What a twin is made of: results by group, the sampling rate, pulses per revolution, fineness of their times.
+    """What a twin is made of: results by group, how its test was recorded and analysed, and what its manifest states.
 
     ``pulse_step_s`` is the grid that the pulse times lie on, 0 where they are exact; without pulses the mean speed is
     all that is told of the shaft.
@@ -376,6 +364,10 @@ class Twin:
     rate_hz: float
     pulses_per_rev: int
     pulse_step_s: float
+    settings: Settings = field(default_factory=load_settings)
+    cycle: str = "rotor"
+    engine: str | None = None
+    tables: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ def analyse_there(packed_job: bytes, task: ClusterTask) -> bytes | CrankorderErr
     if _shares_store(job):
         job.store.save(task.key, made)
         return None
-    return made.data.tobytes()
+    return made.bytes_of(0, None).tobytes()
 
 
 def _check_worker(job: ClusterJob) -> None:

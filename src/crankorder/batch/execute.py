@@ -1,4 +1,7 @@
-"""Run planned tests: each recording in a worker of its own, then maps, findings and the published results."""
+"""Run planned tests: each recording in a worker of its own, then maps, findings and the published results.
+
+Recordings in memory are analysed as those of a folder are.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,10 @@ import json
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +22,28 @@ import xarray as xr
 
 from crankorder.batch import result_folder, run_log
 from crankorder.batch.frame_store import FrameStore, PackedResult
-from crankorder.batch.kernels import load_kernels
-from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, publish_index
-from crankorder.batch.reporting import ReportingProcess
+from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, publish_index, settings_for
+from crankorder.batch.publish import ReportingProcess
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, locked, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.checks.doubts import Doubts, RecordingResult
 from crankorder.engine.definition import Engine, load_engine, with_gas_file
 from crankorder.engine.forces import orders_made
-from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
+from crankorder.errors import (
+    CrankorderError,
+    EnvironmentFailure,
+    InputError,
+    NoUsableRecordingError,
+    RequestError,
+    printable,
+)
 from crankorder.findings import Findings, quality_of
 from crankorder.identify.machine_model import Limit, MachineModel, StatedPart, cycle_doubts
-from crankorder.ingest.manifest import Manifest
-from crankorder.quantities import QualityFlag, remark
-from crankorder.settings import Settings, toml_table
+from crankorder.ingest import channel_faults
+from crankorder.ingest.manifest import Manifest, manifest_head, manifest_of
+from crankorder.quantities import QualityFlag, check_dataset, remark
+from crankorder.settings import Settings, load_settings, toml_table
+from crankorder.shaft import pulses
 from crankorder.stages import analyse_recording, analyse_test, compare_recordings, frames_wanted
 
 KINEMATIC_SHARE = 1e-3
@@ -91,35 +104,10 @@ def run_test(
     ``reporting`` has the hashes of its recordings and writes its files; ``progress`` is told of every recording that is
     done.
     """
-    outcome = Outcome(plan, faults=list(plan.faults))
-    clock = _Clock(outcome.seconds)
+    run = _TestRun(plan, options, reporting, progress)
+    outcome = run.outcome
     try:
-        (code, versions), hashes = reporting.program(), reporting.hashes(plan)
-        plan, altered = plan.without_altered({path: one.sha256 for path, one in hashes.items()})
-        outcome.faults += altered
-        clock.lap("hash")
-        provenance = _provenance(plan, code, versions, hashes)
-        key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code, str(options.strict))
-        if not options.keep_only:
-            result_folder.settle(plan.out)
-            result_folder.refuse_foreign(plan.out)
-            result_folder.refuse_others(plan.out, plan.owner)
-        if not options.fresh and not plan.faults and result_folder.finished_with(plan.out, key):
-            outcome.status, outcome.kept = "done", True
-            outcome.findings = result_folder.read_findings(plan.out)
-            return outcome
-        results = _analyse(plan, options, hashes, (code, versions), outcome, progress)
-        if options.keep_only:
-            outcome.status = "kept"
-            return outcome
-        doubts = compare_recordings(results, strict=options.strict, settings=plan.settings)
-        clock.lap("recordings")
-        outcome.faults += doubts.left_out.values()
-        outcome.notes += doubts.channels_left_out
-        if len(doubts.left_out) == len(results):
-            remedy = "Mend the faults listed above"
-            raise NoUsableRecordingError("no recording could be used", file=plan.folder, remedy=remedy)
-        _finish(plan, results, doubts, provenance, key, outcome, reporting, clock)
+        run.go()
     except CrankorderError as error:
         outcome.faults.append(error)
         outcome.status, outcome.findings = "failed", None
@@ -129,46 +117,188 @@ def run_test(
     return outcome
 
 
-def _finish(
-    plan: CampaignPlan,
-    results: list[RecordingResult],
-    doubts: Doubts,
-    provenance: Mapping[str, object],
-    key: str,
-    outcome: Outcome,
-    reporting: ReportingProcess,
-    clock: _Clock,
-) -> None:
-    """Maps, findings, files and their publication."""
-    sources = sources_of(plan.manifest, engine_of_test(plan), plan.settings)
-    groups, findings, left_out = results_of_test(
-        results,
-        doubts,
-        test=plan.name,
-        sources=sources,
-        settings=plan.settings,
-        flags=outcome.flags,
-        faults=outcome.faults,
-        name_of=plan.name_of,
-    )
-    outcome.faults += left_out
-    clock.lap("test")
-    outcome.accuracy = _accuracy_text(groups.get("order_map"))
-    stated = {**provenance, "quality": [flag.as_dict() for flag in findings.quality]}
-    files = reporting.files_of_test(groups, findings, stated, plan.settings.report)
-    clock.lap("report")
-    outcome.findings = findings
-    outcome.status = "partial" if outcome.faults else "done"
-    result_folder.publish(
-        plan.out,
-        files,
-        key=f"{key} with faults" if outcome.faults else key,
-        owner=plan.owner,
-        record=outcome.record,
-        # timings are no result
-        besides={result_folder.TIMINGS: json_bytes({"seconds": outcome.seconds})},
-    )
-    clock.lap("publish")
+class _TestRun:
+    """A test while it is run: what is asked of it, and in ``outcome`` what became of it so far."""
+
+    def __init__(
+        self, plan: CampaignPlan, options: RunOptions, reporting: ReportingProcess, progress: Progress | None
+    ) -> None:
+        self.outcome = Outcome(plan, faults=list(plan.faults))
+        self._plan, self._options, self._reporting, self._progress = plan, options, reporting, progress
+        self._last = time.perf_counter()
+
+    def go(self) -> None:
+        """Run the test, or find that nothing has changed since an earlier run finished it."""
+        outcome, options = self.outcome, self._options
+        self._made_by, self._hashes = self._reporting.program, self._reporting.hashes(self._plan)
+        digests = {path: hashed.sha256 for path, hashed in self._hashes.items()}
+        plan, altered = self._plan.without_altered(digests)
+        self._plan = plan
+        outcome.faults += altered
+        self._lap("hash")
+        code, versions = self._made_by
+        provenance = _provenance(plan, code, versions, self._hashes)
+        key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code, str(options.strict))
+        if not options.keep_only:
+            result_folder.settle(plan.out)
+            result_folder.refuse_foreign(plan.out)
+            result_folder.refuse_others(plan.out, plan.owner)
+        if not options.fresh and not plan.faults and result_folder.finished_with(plan.out, key):
+            outcome.status, outcome.kept = "done", True
+            outcome.findings = result_folder.read_findings(plan.out)
+            return
+        results = self._analyse()
+        if options.keep_only:
+            outcome.status = "kept"
+            return
+        doubts = compare_recordings(results, strict=options.strict, settings=plan.settings)
+        self._lap("recordings")
+        outcome.faults += doubts.left_out.values()
+        outcome.notes += doubts.channels_left_out
+        if len(doubts.left_out) == len(results):
+            remedy = "Mend the faults listed above"
+            raise NoUsableRecordingError("no recording could be used", file=plan.folder, remedy=remedy)
+        self._finish(results, doubts, provenance, key)
+
+    def _lap(self, name: str) -> None:
+        """Keep the seconds since the last lap under ``name``."""
+        now = time.perf_counter()
+        self.outcome.seconds[name] = round(now - self._last, 4)
+        self._last = now
+
+    def _analyse(self) -> list[RecordingResult]:
+        """Results of the usable recordings in the order of the plan; the faults of the others join the outcome.
+
+        What this program gave of a recording with these hashes before is taken as it was kept.
+        """
+        plan, options = self._plan, self._options
+        wanted, copies = _each_once(plan, self._hashes)
+        self.outcome.flags += copies
+        engine, store = engine_of_test(plan), FrameStore.of(plan.out)
+        hashed = {path: {file: self._hashes[file] for file in plan.files_of(path)} for path in wanted}
+        program = text_sha256(self._made_by[0], json.dumps(self._made_by[1], sort_keys=True))
+        keys = [text_sha256(program, *_recording_parts(plan, path, hashed[path], engine)) for path in wanted]
+        blamed: dict[str, CrankorderError] = {}
+        if options.scheduler is not None:
+            if options.fresh:
+                store.keep_only(())
+            blamed = self._on_cluster(options.scheduler, dict(zip(keys, wanted, strict=True)), hashed, engine, store)
+
+        def analyse(number: int) -> Analysed:
+            begun, path = time.perf_counter(), wanted[number]
+            if keys[number] in blamed:
+                raise blamed[keys[number]]
+            kept = None if options.fresh and options.scheduler is None else store.load(keys[number])
+            if kept is not None:
+                return kept, True, time.perf_counter() - begun
+            result = analyse_recording(path, plan.manifest, plan.settings, engine)
+            _check_unchanged(hashed[path])
+            return store.save(keys[number], PackedResult.of(result)), False, time.perf_counter() - begun
+
+        load_kernels()
+        results: dict[Path, RecordingResult] = {}
+        # no name holds the iterator: where an error leaves this loop, its workers end at once
+        for done, (number, answer) in enumerate(
+            each(analyse, len(wanted), jobs=options.jobs, timeout_s=options.timeout_s), start=1
+        ):
+            path = wanted[number]
+            result = self._collected(answer, path, hashed[path])
+            results |= {} if result is None else {path: result}
+            if self._progress is not None:
+                self._progress(plan.name, done, len(wanted))
+        if not options.keep_only:
+            store.keep_only(keys)
+        place = {plan.name_of(path): number for number, path in enumerate(plan.recordings)}
+        self.outcome.faults.sort(key=lambda fault: place.get(plan.name_of(Path(fault.file)), -1))
+        return [results[path] for path in wanted if path in results]
+
+    def _on_cluster(
+        self,
+        scheduler: str,
+        wanted: dict[str, Path],
+        hashed: dict[Path, dict[Path, HashedFile]],
+        engine: Engine | None,
+        store: FrameStore,
+    ) -> dict[str, CrankorderError]:
+        """Have the cluster of the ``scheduler`` fill the ``store`` with the recordings ``wanted``; its faults, by key.
+
+        What is kept already is not sent.
+        """
+        from crankorder.batch.cluster import ClusterTask, analyse_on_cluster
+
+        plan, begun = self._plan, time.perf_counter()
+        tasks = [
+            ClusterTask(
+                path.resolve(),
+                plan.name_of(path),
+                key,
+                {file.resolve(): of.sha256 for file, of in hashed[path].items()},
+            )
+            for key, path in wanted.items()
+            if not store.path(key).exists()
+        ]
+        blamed = analyse_on_cluster(
+            scheduler,
+            tasks,
+            (plan.manifest, plan.settings, engine),
+            made_by=self._made_by,
+            store=store,
+            progress=lambda done: self._progress and self._progress(plan.name, done, len(tasks)),
+        )
+        seconds = round(time.perf_counter() - begun, 3)
+        run_log.tell("cluster", test=plan.name, at=scheduler, tasks=len(tasks), faults=len(blamed), seconds=seconds)
+        return blamed
+
+    def _collected(
+        self, answer: Future[Analysed], path: Path, hashed: dict[Path, HashedFile]
+    ) -> RecordingResult | None:
+        """Result of the recording at ``path``; None where there is none: its fault joins the outcome."""
+        outcome, name = self.outcome, self._plan.name_of(path)
+        try:
+            _check_unchanged(hashed)
+            result, reused, seconds = answer.result()
+            outcome.reused += reused
+            event = "recording reused" if reused else "recording computed"
+            run_log.tell(event, test=self._plan.name, recording=name, seconds=round(seconds, 4))
+            return result
+        except EnvironmentFailure:
+            raise
+        except CrankorderError as error:
+            outcome.faults.append(error)
+        except WorkerDiedError as error:
+            remedy = "Leave it out; if it is sound, too little memory is the likely cause: try --jobs 1"
+            if isinstance(error, TooLateError):
+                remedy = "Leave it out, or give it more time with --timeout"
+            outcome.faults.append(InputError("could not be analysed", file=name, found=error, remedy=remedy))
+        except MemoryError:
+            outcome.faults.append(InputError("not enough memory for this recording", file=name))
+        except Exception as error:
+            error.add_note(f"while analysing {printable(name)}")
+            outcome.internal.append(error)
+        return None
+
+    def _finish(
+        self, results: list[RecordingResult], doubts: Doubts, provenance: Mapping[str, object], key: str
+    ) -> None:
+        """Make maps and findings of ``results`` and publish their files."""
+        plan, outcome = self._plan, self.outcome
+        sources = sources_of(plan.manifest, engine_of_test(plan), plan.settings)
+        groups, findings, left_out = results_of_test(
+            results, doubts, test=plan.name, sources=sources, settings=plan.settings, flags=outcome.flags,
+            faults=outcome.faults, name_of=plan.name_of,
+        )  # fmt: skip
+        outcome.faults += left_out
+        self._lap("test")
+        outcome.accuracy = _accuracy_text(groups.get("order_map"))
+        stated = {**provenance, "quality": [flag.as_dict() for flag in findings.quality]}
+        files = self._reporting.files_of_test(groups, findings, stated, plan.settings.report)
+        self._lap("report")
+        outcome.findings = findings
+        outcome.status = "partial" if outcome.faults else "done"
+        key = f"{key} with faults" if outcome.faults else key
+        timings = {result_folder.TIMINGS: json_bytes({"seconds": outcome.seconds})}  # no result
+        result_folder.publish(plan.out, files, key=key, owner=plan.owner, record=outcome.record, besides=timings)
+        self._lap("publish")
 
 
 def results_of_test(
@@ -199,111 +329,6 @@ def results_of_test(
     cycle = cycle_doubts(orders, two_stroke=sources.two_stroke, engine=sources.engine, max_order=highest)
     quality = (*made.findings.quality, *quality_of([*flags, *doubts.lengths, *not_used]), *cycle)
     return made.datasets, replace(made.findings, quality=quality), left_out
-
-
-class _Clock:
-    """Seconds between laps, kept by name."""
-
-    def __init__(self, seconds: dict[str, float]) -> None:
-        self._seconds, self._last = seconds, time.perf_counter()
-
-    def lap(self, name: str) -> None:
-        now = time.perf_counter()
-        self._seconds[name] = round(now - self._last, 4)
-        self._last = now
-
-
-def _analyse(
-    plan: CampaignPlan,
-    options: RunOptions,
-    hashes: dict[Path, HashedFile],
-    made_by: tuple[str, dict[str, str]],
-    outcome: Outcome,
-    progress: Progress | None,
-) -> list[RecordingResult]:
-    """Results of the usable recordings in the order of the plan; the faults of the others join the outcome.
-
-    What the program ``made_by`` (its hash, versions of libraries) gave of a recording with these ``hashes`` before is
-    taken as it was kept.
-    """
-    results: dict[Path, RecordingResult] = {}
-    wanted, copies = _each_once(plan, hashes)
-    engine = engine_of_test(plan)
-    outcome.flags += copies
-    store = FrameStore.of(plan.out)
-    hashed = {path: {file: hashes[file] for file in plan.files_of(path)} for path in wanted}
-    program = text_sha256(made_by[0], json.dumps(made_by[1], sort_keys=True))
-    keys = [text_sha256(program, *_recording_parts(plan, path, hashed[path], engine)) for path in wanted]
-
-    of_key = dict(zip(keys, wanted, strict=True))
-    blamed = _on_cluster(plan, options, of_key, hashed, (engine, made_by), store, progress)
-
-    def analyse(number: int) -> Analysed:
-        begun = time.perf_counter()
-        if keys[number] in blamed:
-            raise blamed[keys[number]]
-        kept = None if options.fresh and options.scheduler is None else store.load(keys[number])
-        if kept is not None:
-            return kept, True, time.perf_counter() - begun
-        made = analyse_recording(wanted[number], plan.manifest, plan.settings, engine)
-        _check_unchanged(hashed[wanted[number]])
-        packed = PackedResult.of(made)
-        store.save(keys[number], packed)
-        return packed, False, time.perf_counter() - begun
-
-    # where kernels are yet to be compiled, one worker does it, not all at once
-    first = load_kernels()
-    made_in_turn = each(analyse, len(wanted), jobs=options.jobs, one_first=first, timeout_s=options.timeout_s)
-    for count, (number, made) in enumerate(made_in_turn, start=1):
-        path = wanted[number]
-        _collect(made, path, plan, hashed[path], results, outcome)
-        if progress is not None:
-            progress(plan.name, count, len(wanted))
-    if not options.keep_only:
-        store.keep_only(keys)
-    place = {plan.name_of(path): number for number, path in enumerate(plan.recordings)}
-    outcome.faults.sort(key=lambda fault: place.get(plan.name_of(Path(fault.file)), -1))
-    return [results[path] for path in wanted if path in results]
-
-
-def _on_cluster(
-    plan: CampaignPlan,
-    options: RunOptions,
-    wanted: dict[str, Path],
-    hashed: dict[Path, dict[Path, HashedFile]],
-    known: tuple[Engine | None, tuple[str, dict[str, str]]],
-    store: FrameStore,
-    progress: Progress | None,
-) -> dict[str, CrankorderError]:
-    """Have the cluster of ``options``, if any, fill the ``store`` with the recordings ``wanted``; its faults, by key.
-
-    ``known``: the engine of the test, and the program that the workers must have. What is kept already is not sent.
-    """
-    if options.scheduler is None:
-        return {}
-    from crankorder.batch.cluster import ClusterTask, analyse_on_cluster
-
-    if options.fresh:
-        store.keep_only(())
-    tasks = [
-        ClusterTask(
-            path.resolve(), plan.name_of(path), key, {file.resolve(): one.sha256 for file, one in hashed[path].items()}
-        )
-        for key, path in wanted.items()
-        if not store.path(key).exists()
-    ]
-    begun = time.perf_counter()
-    blamed = analyse_on_cluster(
-        options.scheduler,
-        tasks,
-        (plan.manifest, plan.settings, known[0]),
-        made_by=known[1],
-        store=store,
-        progress=lambda done: None if progress is None else progress(plan.name, done, len(tasks)),
-    )
-    seconds = round(time.perf_counter() - begun, 3)
-    run_log.tell("cluster", test=plan.name, at=options.scheduler, tasks=len(tasks), faults=len(blamed), seconds=seconds)
-    return blamed
 
 
 def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list[Path], list[QualityFlag]]:
@@ -354,37 +379,6 @@ def _check_unchanged(files: dict[Path, HashedFile]) -> None:
             raise InputError(CHANGED, file=path, remedy=remedy)
 
 
-def _collect(
-    analysed: Callable[[], Analysed],
-    path: Path,
-    plan: CampaignPlan,
-    hashed: dict[Path, HashedFile],
-    results: dict[Path, RecordingResult],
-    outcome: Outcome,
-) -> None:
-    name = plan.name_of(path)
-    try:
-        _check_unchanged(hashed)
-        results[path], reused, seconds = analysed()
-        outcome.reused += reused
-        event = "recording reused" if reused else "recording computed"
-        run_log.tell(event, test=plan.name, recording=name, seconds=round(seconds, 4))
-    except EnvironmentFailure:
-        raise
-    except CrankorderError as error:
-        outcome.faults.append(error)
-    except WorkerDiedError as error:
-        remedy = "Leave it out; if it is sound, too little memory is the likely cause: try --jobs 1"
-        if isinstance(error, TooLateError):
-            remedy = "Leave it out, or give it more time with --timeout"
-        outcome.faults.append(InputError("could not be analysed", file=name, found=error, remedy=remedy))
-    except MemoryError:
-        outcome.faults.append(InputError("not enough memory for this recording", file=name))
-    except Exception as error:
-        error.add_note(f"while analysing {printable(name)}")
-        outcome.internal.append(error)
-
-
 def _provenance(
     plan: CampaignPlan, code: str, versions: dict[str, str], hashes: dict[Path, HashedFile]
 ) -> dict[str, object]:
@@ -402,7 +396,7 @@ def _provenance(
             {
                 "name": printable(path.relative_to(plan.folder).as_posix()),
                 "sha256": hashes[path].sha256,
-                "bytes": _size(path, hashes[path]),
+                "bytes": hashes[path].size,
             }
             for path in plan.files
         ],
@@ -410,15 +404,6 @@ def _provenance(
         "engine": engine,
         "settings": plan.settings.model_dump(mode="json"),
     }
-
-
-def _size(path: Path, hashed: HashedFile) -> int | None:
-    """Bytes of the file at ``path`` as it was ``hashed``; as it is where it could not be, None where it is gone."""
-    if hashed.state is not None:
-        return hashed.size
-    with contextlib.suppress(OSError):
-        return path.stat().st_size
-    return None
 
 
 def _accuracy_text(order_map: xr.Dataset | None) -> str:
@@ -469,3 +454,101 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
         service_rpm=None if manifest.rotor is None else manifest.rotor.service_rpm,
         two_stroke=manifest.test.cycle == "two-stroke",
     )
+
+
+def load_kernels() -> None:
+    """Load what numba needs before its first kernel runs: a third of a second, once and not in every worker."""
+    trace = np.repeat(np.tile(np.array([0.0, 5.0], dtype=np.float32), 8), 4)
+    channel_faults.survey(trace, size=16)
+    shaft = load_settings().shaft
+    pulses.find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)
+
+
+Recordings = xr.Dataset | Sequence[xr.Dataset]
+"""One Recording, or several of one test."""
+
+
+def engine_of(name: str | None) -> Engine | None:
+    """The shipped engine ``name``, or that of a TOML file of this path; None without a name."""
+    if name is not None and not isinstance(name, str):
+        raise RequestError("an engine is a shipped name or a path", file="engine", found=repr(name))
+    return None if name is None else load_engine(name)
+
+
+def analysed(
+    recordings: Recordings,
+    settings: Settings,
+    *,
+    tables: Mapping[str, Any],
+    engine: str | None = None,
+    test: str = "test",
+    strict: bool = False,
+) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError | str]]:
+    """Groups and findings of ``recordings``, as a run makes them of files, and what was left out and why.
+
+    ``settings`` of all stages; ``tables`` of the manifest that say what the machine is made of; ``engine``: its name or
+    path; ``test``: the name of the test; ``strict`` leaves out what is "suspect" too.
+    Raises RequestError or ManyErrors where the request is wrong, InputError where no recording can be used.
+    """
+    given = _each(recordings)
+    # manifest of the recordings given with the tables that say what the machine is made of
+    first = next(iter(given.values()))
+    with_shaft = "four-stroke" if int(first.attrs["revs_per_cycle"]) == 2 else "rotor"
+    cycle = with_shaft if first.attrs.get("has_shaft", 1) else "none"
+    columns = (first[key].values.tolist() for key in ("channel", "unit"))
+    channels = [dict(zip(("name", "unit"), row, strict=True)) for row in zip(*columns, strict=True)]
+    stated = {key: dict(table) if isinstance(table, Mapping) else list(table) for key, table in tables.items() if table}
+    manifest = manifest_of({**manifest_head(test, cycle, channels), **stated}, Path("machine"))
+    settings, known = settings_for(manifest, settings), engine_of(engine)
+    faults, results = list[CrankorderError](), list[RecordingResult]()
+    for recording in given.values():
+        try:
+            results.append(analyse_recording(recording, manifest, settings, known))
+        except InputError as error:
+            faults.append(error)
+    doubts = compare_recordings(results, strict=strict, settings=settings)
+    faults += doubts.left_out.values()
+    if len(doubts.left_out) == len(results):
+        raise faults[0] if len(faults) == 1 else NoUsableRecordingError("no recording could be used", found=faults[0])
+    sources = sources_of(manifest, known, settings)
+    groups, findings, left_out = results_of_test(
+        results, doubts, test=test, sources=sources, settings=settings, faults=faults
+    )
+    return groups, findings, [*faults, *left_out, *doubts.channels_left_out]
+
+
+def _each(recordings: Recordings) -> dict[str, xr.Dataset]:
+    """Recordings by names of their own, their channels in one order; those with other channels are refused."""
+    given = list(recordings) if isinstance(recordings, list | tuple) else [recordings]
+    if not given:
+        raise RequestError("no recording is given", file="recordings", allowed="a Recording, or several of one test")
+    named: dict[str, xr.Dataset] = {}
+    for recording in given:
+        if not isinstance(recording, xr.Dataset):
+            raise RequestError("not a Recording", file="recordings", found=type(recording).__name__)
+        check_dataset(recording, "recording")
+        stem = str(recording.attrs["recording"])
+        numbered = chain([stem], (f"{stem} ({number})" for number in count(2)))
+        name = next(name for name in numbered if name not in named)
+        named[name] = recording.assign_attrs(recording=name)
+    first_name, first = next(iter(named.items()))
+    order = first["channel"].values.astype(str).tolist()
+    for name, recording in named.items():
+        if _channels(recording) != _channels(first):
+            raise RequestError(
+                "the recordings of one test have the same channels, units and cycle",
+                file=name,
+                found=_channels(recording),
+                allowed=f"as {first_name}: {_channels(first)}",
+            )
+        channels = recording["channel"].values.astype(str).tolist()
+        if channels != order:
+            named[name] = recording.isel(channel=[channels.index(channel) for channel in order])
+    return named
+
+
+def _channels(recording: xr.Dataset) -> str:
+    """Channels of a recording with their units, and its cycle, in words."""
+    rows = zip(recording["channel"].values.astype(str), recording["unit"].values.astype(str), strict=True)
+    listed = ", ".join(f"{name} [{unit}]" for name, unit in sorted(rows))
+    return f"{listed}; {recording.attrs['revs_per_cycle']} revolutions per cycle"

@@ -34,7 +34,7 @@ KEEPERS = 400
 """So many recordings keep the datasets that were made of them, some 100 kB each; of others they are made each time."""
 
 IN_MEMORY_BYTES = 1 << 26
-"""A larger result lies in a file without a name: it is packed beside what it is made of."""
+"""What is larger is laid on disk: a result into a file without a name, a part of a kept one stays in its file."""
 
 _MAGIC = b"crankorder frames 2\n"
 _DIGEST_BYTES = 32
@@ -60,24 +60,27 @@ class FrameStore:
     def load(self, key: str) -> PackedResult | None:
         """What was kept under ``key``; None where nothing is, or where it is damaged."""
         try:
-            return PackedResult.checked(np.fromfile(self.path(key), dtype=np.uint8))
+            PackedResult.checked(np.fromfile(self.path(key), dtype=np.uint8))
+            return PackedResult(self.path(key))
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
-    def save(self, key: str, result: PackedResult) -> None:
-        """Keep ``result`` under ``key``; where the disk is nearly full or it cannot be written, do without."""
+    def save(self, key: str, result: PackedResult) -> PackedResult:
+        """``result`` as it is kept under ``key``; where the disk is nearly full or cannot be written, as it is."""
         with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
             if shutil.disk_usage(self.folder).free < LEAST_FREE_BYTES:
-                return
+                return result
             handle, temporary = tempfile.mkstemp(dir=self.folder, suffix=".part")
             try:
                 with os.fdopen(handle, "wb") as stream:
-                    stream.write(result.data.data)
+                    stream.write(result.bytes_of(0, None).data)
                 Path(temporary).replace(self.path(key))
             except BaseException:
                 Path(temporary).unlink(missing_ok=True)
                 raise
+            return PackedResult(self.path(key))
+        return result
 
     def keep_only(self, keys: Iterable[str]) -> None:
         """Remove all but the results under ``keys``: what the test no longer asks for."""
@@ -98,29 +101,25 @@ def clean(out: Path) -> tuple[int, int]:
 
 
 class PackedResult(RecordingResult):
-    """A recording's result in one piece of memory; its shaft and frames are made of it when they are asked for.
+    """A recording's result as bytes in memory or in a file; its shaft and frames are made when they are asked for.
 
-    Thousands of these cost little more than what lies in that memory, which may be a file's.
+    Thousands of these whose bytes stand in files cost little memory.
     """
 
     _keepers: ClassVar[WeakValueDictionary[int, PackedResult]] = WeakValueDictionary()
 
-    def __init__(self, data: NDArray[np.uint8]) -> None:
-        """Result that ``data`` (bytes,) holds as :meth:`of` packed it. ValueError or KeyError where it does not."""
+    def __init__(self, source: NDArray[np.uint8] | Path) -> None:
+        """Result of the bytes in ``source``, (bytes,) or a file, as :meth:`of` packed it; else ValueError, KeyError."""
+        self.__dict__.update(_source=source, _made={})
         begin = len(_MAGIC) + _DIGEST_BYTES
-        place = begin + _LENGTH_BYTES
-        length = int.from_bytes(data[begin:place].tobytes(), "little")
-        index = json.loads(data[place : place + length].tobytes())
-        name, flags, histories = (index["about"][key] for key in ("name", "flags", "histories"))
-        self.__dict__.update(data=data, _index=index["parts"], _first=place + length, _made={})
-        self.__dict__.update(_name=name, _flags=flags, _histories=histories)
+        length = int.from_bytes(self.bytes_of(begin, _LENGTH_BYTES).tobytes(), "little")
+        index = json.loads(self.bytes_of(begin + _LENGTH_BYTES, length).tobytes())
+        self.__dict__.update(_index=index["parts"], _about=index["about"], _first=begin + _LENGTH_BYTES + length)
 
-    data: NDArray[np.uint8]
+    _source: NDArray[np.uint8] | Path
     _index: dict[str, list[int]]
+    _about: dict[str, Any]
     _first: int
-    _name: str
-    _flags: list[QualityFlag]
-    _histories: dict[str, str]
     _made: dict[str, xr.Dataset]
 
     @classmethod
@@ -161,9 +160,17 @@ class PackedResult(RecordingResult):
             raise ValueError("damaged")
         return cls(data)
 
-    def __reduce__(self) -> tuple[type[PackedResult], tuple[NDArray[np.uint8]]]:
-        """Travel as the one array."""
-        return PackedResult, (self.data,)
+    def __reduce__(self) -> tuple[type[PackedResult], tuple[NDArray[np.uint8] | Path]]:
+        """Travel as the one array, or as the place of the file."""
+        return PackedResult, (self._source,)
+
+    def bytes_of(self, begin: int, size: int | None) -> NDArray[np.uint8]:
+        """Bytes (``size``,) from ``begin`` on, to the end without a ``size``; those of a file are the caller's own."""
+        if not isinstance(self._source, Path):
+            return self._source[begin : None if size is None else begin + size]
+        if size is not None and size > IN_MEMORY_BYTES:
+            return np.memmap(self._source, np.uint8, "c", begin, (size,))
+        return np.fromfile(self._source, np.uint8, -1 if size is None else size, offset=begin)
 
     @property
     def shaft(self) -> ShaftAngle:
@@ -178,22 +185,22 @@ class PackedResult(RecordingResult):
     @property
     def name(self) -> str:
         """Name of the recording: its path inside the folder of the test."""
-        return self._name
+        return str(self._about["name"])
 
     @property
     def flags(self) -> list[QualityFlag]:
         """Quality flags of shaft and frames, as of RecordingResult."""
-        return list(self._flags)
+        return list(self._about["flags"])
 
     def history_of(self, noun: Any) -> str:
         """History of the frames of this ``noun``, or of the shaft."""
-        return self._histories["" if noun is ShaftAngle else noun.__name__]
+        return str(self._about["histories"]["" if noun is ShaftAngle else noun.__name__])
 
     def _part(self, name: str) -> xr.Dataset:
         if name in self._made:
             return self._made[name].copy(deep=False)
         begin, header, size = self._index[name]
-        part = self.data[self._first + begin : self._first + begin + size]
+        part = self.bytes_of(self._first + begin, size)
         described, arrays = json.loads(part[:header].tobytes()), _Arrays(part[header:])
         variables = {
             name: xr.Variable(dims, arrays.take(*array), _attrs_of(attrs, arrays))

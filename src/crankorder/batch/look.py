@@ -77,7 +77,7 @@ def look_at(folder: Path, manifest_path: Path | None, *, jobs: int) -> Looked:
 
     for number, answer in each(lambda at: look_at_recording(sound[at], manifest, settings), len(sound), jobs=jobs):
         try:
-            looks[number] = answer()
+            looks[number] = answer.result()
         except CrankorderError as error:
             refused[number] = error
         except WorkerDiedError as error:

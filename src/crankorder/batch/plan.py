@@ -131,25 +131,16 @@ class Planned:
     refused: list[CrankorderError]
 
 
-@dataclass(frozen=True)
-class Shard:
-    """A share of the recordings of each test: every ``count``-th, from the ``number``-th on (1 to ``count``)."""
+def share_of(plan: CampaignPlan, shard: str) -> CampaignPlan:
+    """The ``plan`` with a share of its recordings: of a ``shard`` "2/8" every eighth, from the second on.
 
-    number: int
-    count: int
-
-    @classmethod
-    def parse(cls, text: str) -> Shard:
-        """Shard that ``text`` such as "2/8" names. Raises RequestError where it names none."""
-        found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
-        if found is None or not 1 <= int(found[1]) <= int(found[2]):
-            allowed = "k/n with k from 1 to n, such as 2/8"
-            raise RequestError("no share of the recordings", file="--shard", found=text, allowed=allowed)
-        return cls(int(found[1]), int(found[2]))
-
-    def of(self, plan: CampaignPlan) -> CampaignPlan:
-        """The ``plan`` with this share of its recordings."""
-        return replace(plan, recordings=plan.recordings[self.number - 1 :: self.count])
+    Raises RequestError where ``shard`` names no share.
+    """
+    found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", shard)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        allowed = "k/n with k from 1 to n, such as 2/8"
+        raise RequestError("no share of the recordings", file="--shard", found=shard, allowed=allowed)
+    return replace(plan, recordings=plan.recordings[int(found[1]) - 1 :: int(found[2])])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,26 +1,139 @@
-"""The files of one test: NetCDF, JSON, pictures and page, as bytes, ready to be published; and drawn once more."""
+"""The files of one test: NetCDF, JSON, pictures and page, made by a process beside the analysis; drawn again; exported.
+
+This module imports nothing heavy itself: that process loads what draws and writes, while this one loads the rest.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from crankorder.batch.plan import folder_name
-from crankorder.batch.result_folder import TIMINGS, marker_of, publish, read_findings, settle
-from crankorder.batch.store import json_bytes, locked
-from crankorder.batch.workers import FORKS, each
-from crankorder.errors import InputError
+from crankorder.batch.result_folder import (
+    TIMINGS,
+    marker_of,
+    publish,
+    read_document,
+    read_findings,
+    result_folders,
+    settle,
+)
+from crankorder.batch.store import (
+    HashedFile,
+    code_sha256,
+    file_sha256,
+    json_bytes,
+    library_versions,
+    locked,
+    text_sha256,
+)
+from crankorder.batch.workers import Worker, WorkerDiedError, each
+from crankorder.errors import EnvironmentFailure, InputError, RequestError
 from crankorder.findings import Findings
-from crankorder.report.netcdf import as_stored, findings_datasets, read_results, results_bytes, root_attrs
-from crankorder.report.page import ShownPicture, report_page
 from crankorder.settings import ReportSettings, load_settings
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from crankorder.report.pictures import Picture
+    from crankorder.batch.plan import CampaignPlan
+
+
+class ReportingProcess:
+    """A process beside this one that hashes the inputs of ``plans``, then loads what writes, then writes when asked.
+
+    Where it is killed another takes its place and does what was asked once more.
+    """
+
+    def __init__(self, plans: list[CampaignPlan], *, jobs: int) -> None:
+        """Start hashing the recordings of ``plans``, ``jobs`` at a time, and loading what draws and writes."""
+        self._plans, self._jobs = plans, jobs
+        self._start()
+        for request in ("hash", "load"):
+            self._ask(request)
+
+    def _start(self) -> None:
+        self._worker, self._asked = Worker(self._do, daemon=False), list[str]()
+
+    def _ask(self, request: str, *given: Any) -> None:
+        self._asked.append(request)
+        self._worker.ask((request, given))
+
+    def _answer_to(self, request: str, *given: Any) -> Any:
+        """Answer to ``request``, which was asked or is asked now; those that nobody waits for are passed over.
+
+        Raises EnvironmentFailure where the process ended twice over it.
+        """
+        died = WorkerDiedError()
+        for _ in range(2):
+            try:
+                if request not in self._asked:
+                    self._ask(request, *given)
+                while self._asked.pop(0) != request:
+                    self._worker.answer()
+                return self._worker.answer()
+            except WorkerDiedError as error:
+                died = error
+                self._worker.close()  # it lives where one of its own workers died
+                self._start()
+        problem = "the process that hashes and writes ended twice"
+        remedy = "Too little memory is the likely cause: try --jobs 1; the other tests go on"
+        raise EnvironmentFailure(problem, file="crankorder", found=died, remedy=remedy) from died
+
+    def _do(self, request: tuple[str, tuple[Any, ...]]) -> Any:
+        name, given = request
+        if name == "hash":
+            paths = [path for plan in self._plans for path in plan.files]
+            with ThreadPoolExecutor(max_workers=self._jobs) as pool:
+                hashed = dict(zip(paths, pool.map(HashedFile.of, paths), strict=True))
+            return (code_sha256(), library_versions()), hashed
+        if name == "load":
+            return prepare(draws=any(plan.settings.report.pictures for plan in self._plans))
+        if name == "index":
+            from crankorder.report.page import index_page
+
+            return index_page(*given)
+        return files_of_test(*given, jobs=self._jobs)
+
+    @cached_property
+    def _hashed(self) -> tuple[tuple[str, dict[str, str]], dict[Path, HashedFile]]:
+        hashed: tuple[tuple[str, dict[str, str]], dict[Path, HashedFile]] = self._answer_to("hash")
+        return hashed
+
+    @property
+    def program(self) -> tuple[str, dict[str, str]]:
+        """SHA-256 of the program, and the versions of it and of the libraries that results may depend on."""
+        return self._hashed[0]
+
+    def hashes(self, plan: CampaignPlan) -> dict[Path, HashedFile]:
+        """Every file of ``plan`` as it was hashed, or why it could not be."""
+        return {path: self._hashed[1][path] for path in plan.files}
+
+    def files_of_test(
+        self,
+        groups: dict[str, xr.Dataset],
+        findings: Findings,
+        provenance: Mapping[str, object],
+        settings: ReportSettings,
+    ) -> dict[str, bytes]:
+        """All files of a test by name, from its ``groups``, ``findings``, ``provenance`` and ``settings``.
+
+        See :func:`files_of_test` of this module. Raises EnvironmentFailure where the process ends over it.
+        """
+        files: dict[str, bytes] = self._answer_to("write", groups, findings, provenance, settings)
+        return files
+
+    def index_page(self, tests: Sequence[Mapping[str, object]]) -> str:
+        """HTML list of the ``tests`` of a run, as :func:`crankorder.report.page.index_page` makes it."""
+        page: str = self._answer_to("index", tests)
+        return page
+
+    def close(self) -> None:
+        """End the process."""
+        self._worker.close()
 
 
 def prepare(*, draws: bool) -> None:
@@ -34,47 +147,47 @@ def prepare(*, draws: bool) -> None:
     index_page([])
 
 
-def _draw(pages: list[Picture], *, jobs: int, meanwhile: Callable[[], object]) -> list[tuple[bytes, bytes]]:
-    """Bytes of the file and of the PNG of each of ``pages``, ``jobs`` at a time in processes where that is several."""
-    if jobs == 1 or not FORKS:
-        meanwhile()
-        return [page.drawn() for page in pages]
-    last_first = pages[::-1]  # the spectra at the end take longest
-    drawn = each(lambda number: last_first[number].drawn(), len(pages), jobs=jobs, meanwhile=meanwhile)
-    made = {number: answer() for number, answer in drawn}
-    return [made[number] for number in reversed(range(len(pages)))]
-
-
 def files_of_test(
     groups: dict[str, xr.Dataset],
     findings: Findings,
-    provenance: dict[str, object],
-    *,
+    provenance: Mapping[str, object],
     settings: ReportSettings,
+    *,
     jobs: int = 1,
 ) -> dict[str, bytes]:
     """All files of a test by name: results.nc, findings.json, pictures, report.html, run.json.
 
     ``groups`` are the datasets by group name, ``findings`` what they say, ``provenance`` what ``run.json`` states;
-    ``settings`` shape pictures and page. With more ``jobs`` than one, so many pictures are drawn at a time, beside the
-    writing of the other files; the page, which holds them, comes last.
+    ``settings`` shape pictures and page. The data and each picture are made ``jobs`` at a time, in processes where that
+    is several; the page, which holds the pictures, comes last.
     """
+    from crankorder.batch.plan import folder_name
+    from crankorder.report.netcdf import as_stored, findings_datasets, results_bytes, root_attrs
+    from crankorder.report.page import ShownPicture, report_page
     from crankorder.report.pictures import pictures_of
 
-    stored, taken, data = as_stored(groups), set[str](), dict[str, bytes]()
+    stored, taken = as_stored(groups), set[str]()
     planned = pictures_of(stored, findings, settings=settings, name_of=lambda channel: folder_name(channel, taken))
+    last_first = list(planned.values())[::-1]  # the spectra at the end take longest
 
-    def write() -> None:
-        attrs = root_attrs(findings, groups)
-        data["results.nc"] = results_bytes({**stored, **findings_datasets(findings)}, attrs=attrs)
-        data["findings.json"] = json_bytes(findings.as_dict())
-        data["run.json"] = json_bytes(provenance)
+    def make(number: int) -> Any:
+        """Files of the data where ``number`` is 0, else the bytes of file and PNG of a picture."""
+        if number:
+            return last_first[number - 1].drawn()
+        results = results_bytes({**stored, **findings_datasets(findings)}, attrs=root_attrs(findings, groups))
+        documents = {"findings.json": findings.as_dict(), "run.json": provenance}
+        return {"results.nc": results, **{name: json_bytes(document) for name, document in documents.items()}}
 
-    drawn = dict(zip(planned, _draw(list(planned.values()), jobs=jobs, meanwhile=write), strict=True))
+    numbers = range(1 + len(planned))
+    if jobs > 1 and planned:
+        made = {number: answer.result() for number, answer in each(make, len(numbers), jobs=jobs)}
+    else:
+        made = {number: make(number) for number in numbers}
+    drawn = dict(zip(planned, [made[number] for number in reversed(numbers[1:])], strict=True))
     shown = [ShownPicture(name, planned[name].caption, png) for name, (_, png) in drawn.items()]
     page = report_page(findings, pictures=shown, provenance=provenance, settings=settings, groups=stored)
-    data["report.html"] = page.encode("utf-8", "backslashreplace")
-    return data | {name: file for name, (file, _) in drawn.items()}
+    files: dict[str, bytes] = made[0] | {"report.html": page.encode("utf-8", "backslashreplace")}
+    return files | {name: file for name, (file, _) in drawn.items()}
 
 
 def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
@@ -84,6 +197,8 @@ def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
     settings of the run, before which those of ``report`` go, by key.
     Raises InputError where the folder holds no finished results.
     """
+    from crankorder.report.netcdf import read_results
+
     folder = (result if result.is_dir() or not result.suffix else result.parent).absolute()
     with locked(folder):
         settle(folder)
@@ -104,8 +219,55 @@ def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
         groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
         # a key that is newer than the results has today's default
         settings = ReportSettings.model_validate(stated)
-        files = files_of_test(groups, findings, provenance, settings=settings)
+        files = files_of_test(groups, findings, provenance, settings)
         kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
         timings = {TIMINGS: (folder / TIMINGS).read_bytes()} if (folder / TIMINGS).is_file() else {}
         publish(folder, files | kept, key=marker.key, owner=marker.input, record=marker.record, besides=timings)
         return folder / "report.html"
+
+
+FORMATS = ("uff58", "csv", "parquet")
+
+
+def export_results(result: Path, out: Path, *, to: str, binary: bool = False) -> list[Path]:
+    """Paths of the files written into ``out``, a folder ``<test>-<format>`` for each test of ``result``.
+
+    ``result``: a ``results.nc``, the folder of a test, or the whole ``--out`` of a run. ``to``: "uff58" makes
+    ``results.uff`` (``binary``: 58b), "csv" and "parquet" a file for each table (Parquet also of the maps).
+    Raises RequestError where there are no results, where ``to`` is none of these or ``out`` holds results of a run;
+    InputError where results are damaged.
+    """
+    from crankorder.batch.compare import refuse_results
+
+    if to not in FORMATS:
+        raise RequestError("no such format", file="export", place="to", found=to, allowed=", ".join(FORMATS))
+    if binary and to != "uff58":
+        raise RequestError("only universal files have a binary form", file="export", place="binary", found=to)
+    folders = result_folders(result)
+    refuse_results(out, folders)
+    written: list[Path] = []
+    for folder in folders:
+        files = _exported(folder, to, binary)
+        key = text_sha256(version("crankorder"), to, str(binary), file_sha256(folder / "results.nc"))
+        publish(out / f"{folder.name}-{to}", files, key=key)
+        written += [out / f"{folder.name}-{to}" / name for name in files]
+    return written
+
+
+def _exported(folder: Path, to: str, binary: bool) -> dict[str, bytes]:
+    """Files by name of the results in ``folder``, in the format ``to``."""
+    from crankorder.interchange.export import csv_bytes, parquet_bytes, tables_of, uff58_bytes
+    from crankorder.report.netcdf import published, read_results
+
+    test = str(read_document(folder / "run.json").get("test", folder.name))
+    groups = read_results(folder / "results.nc")
+    if to == "uff58":
+        if not {"order_tracks", "order_map", "campbell_map"} & set(groups):
+            found = ", ".join(sorted(groups)) or "no group"
+            raise RequestError("holds no orders and no map", file=folder / "results.nc", found=found)
+        return {"results.uff": uff58_bytes(groups, test=test, binary=binary)}
+    tables = tables_of({name: published(dataset) for name, dataset in groups.items()}, maps=to == "parquet")
+    if not tables:
+        raise RequestError("holds nothing to put into a table", file=folder / "results.nc")
+    written = csv_bytes if to == "csv" else parquet_bytes
+    return {f"{name}.{to}": written(columns) for name, columns in tables.items()}

@@ -1,19 +1,16 @@
 """The folder that a test's results stand in: whole or not at all, of one input, and nobody else's.
 
-New results are written into a folder beside, flushed, and exchanged for the old ones in one step. ``done.json`` says
+New results are written into a folder beside, flushed, and renamed in the place of the old ones. ``done.json`` says
 what they were made of, and what every file must be.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import errno
 import hashlib
 import json
 import os
 import shutil
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -36,9 +33,6 @@ BATCH, INDEX = "batch.json", "index.html"
 
 BATCH_VERSION = 1
 """Of ``batch.json``."""
-
-EXCHANGE = 2
-"""``RENAME_EXCHANGE`` of Linux's renameat2."""
 
 
 @dataclass(frozen=True)
@@ -148,8 +142,8 @@ def publish(
     """Make ``contents`` (name → bytes) the results in ``folder``, with a marker that holds their hashes and ``key``.
 
     ``owner``: the input that they were made of. ``record``: what an index says of them. ``besides``: files that are no
-    results and may change, such as timings. Whoever reads ``folder`` finds the old results or the new ones; where the
-    system cannot exchange two folders, it may find none for a moment. Files of others stay, where there are any.
+    results and may change, such as timings. Whoever reads ``folder`` finds the old results or the new ones, or none for
+    the moment between two renames. Files of others stay, where there are any.
     Raises EnvironmentFailure where the disk is full or the folder cannot be written: the old results stand then;
     RequestError where a file of others has the name of a result.
     """
@@ -203,7 +197,7 @@ def settle(folder: Path) -> None:
 
 
 def _beside(folder: Path) -> tuple[Path, Path]:
-    """Folders of the new results, and of the old ones where they cannot be exchanged in one step.
+    """Folders of the new results, and of the old ones until the new ones have their place.
 
     Among files of others the new ones lie in a folder of the same name inside.
     """
@@ -223,13 +217,9 @@ def _replaceable(folder: Path) -> bool:
 def _exchange(folder: Path, files: Mapping[str, bytes]) -> None:
     new, old = _beside(folder)
     _write_all(new, files)
-    if not folder.exists():
-        new.rename(folder)
-    elif _exchanged(new, folder):
-        old = new
-    else:
+    if folder.exists():
         folder.rename(old)
-        new.rename(folder)
+    new.rename(folder)
     flush_folder(folder.parent)
     shutil.rmtree(old, ignore_errors=True)
 
@@ -244,22 +234,6 @@ def _write_all(folder: Path, files: Mapping[str, bytes]) -> None:
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-
-
-def _exchanged(new: Path, folder: Path) -> bool:
-    """Exchange two folders in one step; False where this system or this disk cannot."""
-    if sys.platform != "linux":
-        return False
-    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if rename is None:
-        return False
-    here = -100  # AT_FDCWD: paths are absolute or relative to the working directory
-    if rename(here, os.fsencode(new), here, os.fsencode(folder), EXCHANGE) == 0:
-        return True
-    fault = ctypes.get_errno()
-    if fault in (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP):
-        return False
-    raise OSError(fault, os.strerror(fault), str(folder))
 
 
 def _replace_files(folder: Path, files: Mapping[str, bytes]) -> None:

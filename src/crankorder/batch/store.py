@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import hashlib
 import json
 import math
 import os
 import re
 import socket
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -25,16 +25,8 @@ from typing import Any
 from crankorder.errors import EnvironmentFailure, printable
 from crankorder.fft.plans import fft_library
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
-
 PAUSE_S = 0.05
 """Between two looks at a lock that another process holds."""
-
-_held: set[int] = set()
-"""Locks of this process: a worker that is forked from it closes them, so that they end with this process."""
 
 WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, getattr(errno, "EBADFD", errno.ENOLCK))
 
@@ -96,7 +88,7 @@ def _state(stat: os.stat_result) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class HashedFile:
-    """A file as it was hashed: SHA-256, state and ``size`` (bytes), or the ``fault`` for which it could not be read.
+    """A file as it was hashed: SHA-256 and state, or the ``fault`` for which it could not be read.
 
     A file that was written just before may change again within one tick of the clock of its disk: ``just_written``.
     """
@@ -105,7 +97,11 @@ class HashedFile:
     state: tuple[int, ...] | None
     fault: str = ""
     just_written: bool = False
-    size: int = 0
+
+    @property
+    def size(self) -> int | None:
+        """Bytes; None where it could not be read."""
+        return None if self.state is None else self.state[0]
 
     @classmethod
     def of(cls, path: Path) -> HashedFile:
@@ -119,7 +115,7 @@ class HashedFile:
         except OSError as error:
             return cls(None, None, str(error.strerror))
         recent = time.time_ns() - before.st_ctime_ns < SETTLED_NS
-        return cls(digest, _state(before), just_written=recent, size=before.st_size)
+        return cls(digest, _state(before), just_written=recent)
 
     def is_still_at(self, path: Path) -> bool:
         """Whether the file at ``path`` is the one that was hashed, untouched since."""
@@ -157,24 +153,19 @@ def library_versions() -> dict[str, str]:
 
 def write_atomically(path: Path, data: bytes) -> None:
     """Put ``data`` at ``path`` in one step: a temporary file beside it, flushed, renamed, the folder flushed."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    temporary.unlink(missing_ok=True)
     try:
-        _fill(handle, data)
-        Path(temporary).chmod(0o666 & ~_umask())
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        write_flushed(temporary, data)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
     flush_folder(path.parent)
 
 
 def write_flushed(path: Path, data: bytes) -> None:
     """Make a new file at ``path`` that holds ``data``, on the disk when this returns."""
-    _fill(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), data)
-
-
-def _fill(handle: int, data: bytes) -> None:
-    with os.fdopen(handle, "wb") as stream:
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as stream:
         stream.write(data)
         stream.flush()
         os.fsync(stream.fileno())
@@ -187,13 +178,6 @@ def flush_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-@cache
-def _umask() -> int:
-    current = os.umask(0o022)
-    os.umask(current)
-    return current
 
 
 @contextlib.contextmanager
@@ -212,20 +196,12 @@ def locked(place: Path, *, tell: Callable[[str], object] = lambda text: None) ->
         problem = f"the results cannot be written ({error.strerror or error})"
         remedy = "Choose another --out, or change its rights"
         raise EnvironmentFailure(problem, file=path.parent, remedy=remedy) from error
-    _held.add(handle)
     try:
         yield
     finally:
-        _held.discard(handle)
         with contextlib.suppress(OSError):
             path.unlink()
         os.close(handle)
-
-
-def forget_locks() -> None:
-    """Leave the locks of the process that this one was forked from to that process alone."""
-    while _held:
-        os.close(_held.pop())
 
 
 def _take(path: Path, tell: Callable[[str], object]) -> int:
@@ -250,8 +226,6 @@ def _take(path: Path, tell: Callable[[str], object]) -> int:
 
 
 def _locks(handle: int, path: Path, tell: Callable[[str], object]) -> bool:
-    if fcntl is None:
-        return True
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
