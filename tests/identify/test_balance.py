@@ -9,6 +9,7 @@ from crankorder.engine.definition import BalanceShafts, GasCurve
 from crankorder.engine.machine_parts import AddedMass
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
 from crankorder.identify.changes.mass_change import trial_mass
+from crankorder.identify.machine_model import MachineModel
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, swept
 from made.typed import as_dicts
 
@@ -19,7 +20,8 @@ OFFSET_GAIN = 1.002325  # of the first order by an offset of 10 mm: truth sheet 
 
 def closed(made, **changes):
     given = {"orders": made.orders, "modal": made.modal, "engine": made.engine} | changes
-    return unbalance_fit(made.order_map, given.pop("orders"), given.pop("modal"), **given)
+    orders, modal, followed = given.pop("orders"), given.pop("modal"), given.pop("followed", ())
+    return unbalance_fit(made.order_map, orders, modal, sources=MachineModel(2, **given), followed=followed)
 
 
 def made(seed=0, **changes):

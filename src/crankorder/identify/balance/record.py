@@ -134,32 +134,23 @@ def _one_way(record: Balance, split: Split, engine: Engine, undecided: dict[str,
     if len(engine.cylinders) > 1:
         undecided["residual_reciprocating_g"] = f"{alike}, and of several cylinders none is known to be the one"
         return record
+    # the one mass that both tell best (generalised least squares); their difference has two degrees of freedom
     first, second = split.sought.index(ALONG), split.sought.index(SECOND)
-    value, covariance, apart = _common(split, first, second)
-    if apart > AGREE_CHI_SQUARE:
-        undecided["residual_reciprocating_g"] = (
-            f"orders 1 and 2 ask for different masses, {1e3 * abs(split.mass_kg[first]):.3g} and "
-            f"{1e3 * abs(split.mass_kg[second]):.3g} g: rotating unbalance, or shafts that miss one of the orders"
-        )
-        return record
-    half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
-    return with_interval(record, "residual_reciprocating_g", 1e3 * value.real, half)
-
-
-def _common(split: Split, first: int, second: int) -> tuple[complex, Floats, float]:
-    """The one mass that two masses tell best (generalised least squares), its covariance, and χ² of their difference.
-
-    χ² has two degrees of freedom.
-    """
-    picked = [2 * first, 2 * first + 1, 2 * second, 2 * second + 1]
-    both = split.mass_kg[[first, second]]
-    values = np.stack([both.real, both.imag], axis=1).ravel()
+    both, picked = split.mass_kg[[first, second]], [2 * first, 2 * first + 1, 2 * second, 2 * second + 1]
+    values, design = both.view(np.float64), np.concatenate([np.eye(2), np.eye(2)])
     weight = np.linalg.pinv(split.covariance[np.ix_(picked, picked)])
-    design = np.concatenate([np.eye(2), np.eye(2)])
     covariance = np.linalg.pinv(design.T @ weight @ design)
     common = covariance @ design.T @ weight @ values
     left = values - design @ common
-    return complex(common[0], common[1]), covariance, float(left @ weight @ left)
+    if left @ weight @ left > AGREE_CHI_SQUARE:
+        asked = " and ".join(f"{1e3 * size:.3g}" for size in np.abs(both))
+        undecided["residual_reciprocating_g"] = (
+            f"orders 1 and 2 ask for different masses, {asked} g: rotating unbalance, or shafts that miss one of the "
+            "orders"
+        )
+        return record
+    half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
+    return with_interval(record, "residual_reciprocating_g", 1e3 * float(common[0]), half)
 
 
 def _both_ways(record: Balance, split: Split, engine: Engine, undecided: dict[str, str]) -> Balance:

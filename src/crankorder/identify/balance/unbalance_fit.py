@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, Z
-from crankorder.engine.machine_parts import AddedMass, StatedPath
+from crankorder.engine.machine_parts import StatedPath
 from crankorder.findings import Balance
 from crankorder.identify.balance.known_forces import NUMBERS as ORDER_SHAKER
 from crankorder.identify.balance.known_forces import (
@@ -25,7 +25,7 @@ from crankorder.identify.balance.known_forces import (
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
 from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
 from crankorder.identify.found import AgreedOrders, ModalFit
-from crankorder.identify.machine_model import gas_half_orders
+from crankorder.identify.machine_model import MachineModel, gas_half_orders
 from crankorder.identify.modes.pole_errors import side_by_side
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
@@ -33,9 +33,6 @@ from crankorder.settings import MethodNumbers
 NUMBERS = MethodNumbers("5-identify-balance.toml", "closure")
 
 TRIAL_MASS = "a second test with a known added mass ([[added_masses]]) tells the path instead"
-
-Tracks = Sequence[xr.Dataset]
-UnbalanceFit = tuple[Balance | None, str]
 
 
 class _Refused(Exception):
@@ -47,35 +44,35 @@ def unbalance_fit(
     orders: AgreedOrders,
     modal: ModalFit,
     *,
-    engine: Engine | None,
-    paths: tuple[StatedPath, ...] = (),
-    added: tuple[AddedMass, ...] = (),
-    followed: Tracks = (),
-) -> UnbalanceFit:
+    sources: MachineModel,
+    followed: Sequence[xr.Dataset] = (),
+) -> tuple[Balance | None, str]:
     """Record ``balance`` of the findings, or None with the reason in words.
 
-    The path from force to acceleration is the one that ``paths`` state; where they state none, the one that the
-    ``engine``'s own higher orders show, whose forces are known: they act along the cylinder at the same frequencies as
+    The path from force to acceleration is the one that ``sources`` state; where they state none, the one that the
+    engine's own higher orders show, whose forces are known: they act along the cylinder at the same frequencies as
     orders 1 and 2 do at higher speeds, and one joint fit with the natural frequencies of ``modal`` gives the masses
-    that make orders 1 and 2. ``order_map``: the OrderMap, with phases from top dead centre. ``orders``: what was found
-    in it. ``added``: masses that this test has on purpose; they are part of the residual. ``followed``: orders as they
-    were followed through sweeps (RecordingTracks), which stand for the map's. Intervals hold for noise, natural
-    frequencies and dampings, and the misfit of the path.
+    that make orders 1 and 2. Masses that the test has on purpose are part of the residual. ``order_map``: the OrderMap,
+    with phases from top dead centre. ``orders``: what was found in it. ``followed``: orders as they were followed
+    through sweeps (RecordingTracks), which stand for the map's. Intervals hold for noise, natural frequencies and
+    dampings, and the misfit of the path.
     Source: forces by :func:`crankorder.engine.forces.crankcase_forces`; forward and reverse parts as in direct and
     reverse cranks (seed 002; Thomson and Dahleh 1998).
     """
+    engine = sources.engine
     try:
         _check_phases(order_map, engine)
-        if paths:
-            record = by_stated_paths(order_map, [order.order for order in orders], engine=engine, paths=paths)
+        if sources.paths:
+            lines = [order.order for order in orders]
+            record = by_stated_paths(order_map, lines, engine=engine, paths=sources.paths)
         elif engine is None:
             raise _Refused(f"no engine is named, so no force is known, and no path is stated; {TRIAL_MASS}")
         else:
             record = _by_engine_orders(order_map, orders, modal, engine, followed)
     except _Refused as refusal:
         return None, str(refusal)
-    if added:
-        record = replace(record, evidence=f"{record.evidence}; {added_words(added)}")
+    if sources.added:
+        record = replace(record, evidence=f"{record.evidence}; {added_words(sources.added)}")
     return record, ""
 
 
@@ -96,7 +93,7 @@ def _check_phases(order_map: xr.Dataset, engine: Engine | None) -> None:
 
 
 def _by_engine_orders(
-    order_map: xr.Dataset, orders: AgreedOrders, modal: ModalFit, engine: Engine, followed: Tracks
+    order_map: xr.Dataset, orders: AgreedOrders, modal: ModalFit, engine: Engine, followed: Sequence[xr.Dataset]
 ) -> Balance:
     if engine.cycle == "rotor" or engine.largest_piston_kg == 0:
         raise _Refused(f"a rotor has no order of known force, and no path is stated; {TRIAL_MASS}")

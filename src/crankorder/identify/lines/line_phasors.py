@@ -145,6 +145,11 @@ class Recording:
     revs: float
     hop_rev: float
 
+    @property
+    def span_rev(self) -> float:
+        """Revolutions that its frames cover; 0 without frames."""
+        return float(np.ptp(self.centre_rev)) + self.revs if len(self.centre_rev) else 0.0
+
 
 def any_swept(recordings: Sequence[Recording]) -> bool:
     """Whether the speed of any of ``recordings`` is that of a run-up or coast-down."""
@@ -153,10 +158,7 @@ def any_swept(recordings: Sequence[Recording]) -> bool:
 
 def longest_rev(recordings: Sequence[Recording]) -> float:
     """Revolutions of the longest of ``recordings``; 0 where there is none."""
-    spans = [
-        float(np.ptp(recording.centre_rev)) + recording.revs for recording in recordings if len(recording.centre_rev)
-    ]
-    return max(spans, default=0.0)
+    return max((recording.span_rev for recording in recordings), default=0.0)
 
 
 def recordings_of(frames: Sequence[xr.Dataset]) -> list[Recording]:
@@ -250,12 +252,11 @@ def _solved_together(line: Zoomed, recording: Recording, channels: list[int], at
 
     def solved(number: int, started: Zoomed) -> Zoomed:
         sighting = pair.sighting(number)
-        offset = sighting.order - order
+        offset, variance = sighting.order - order, sighting.order_error**2 + drift
         loss = float(hann_lobe(np.array(offset * revs)))
-        snr = min(sighting.sigmas**2, 1e24)
-        size, error = loss * sighting.phasor, abs(loss) * sighting.error
-        started = replace(started, amplitude=size, error=error, snr=snr, dof=sighting.degrees_of_freedom)
-        return replace(started, offset=offset, variance=sighting.order_error**2 + drift)
+        size, error, snr = loss * sighting.phasor, abs(loss) * sighting.error, min(sighting.sigmas**2, 1e24)
+        started = replace(started, offset=offset, variance=variance, dof=sighting.degrees_of_freedom)
+        return replace(started, amplitude=size, error=error, snr=snr)
 
     # of what one bin holds of noise, two phasors and two numbers took three parts
     parts = HANN_ENBW * band.held.span_rev / revs
@@ -281,11 +282,10 @@ def _drift(centre_rev: Floats, speed_rpm: Floats) -> float:
 def _noise_beside(recording: Recording, channels: list[int], at: int, centre_rev: Floats) -> Floats:
     """Noise power (channels, frames) from the bins on both sides of ``at`` beyond its lobe."""
     spectrum = recording.spectrum
-    first, last = NUMBERS.noise_bins
-    beside = [*range(at - last, at - first + 1), *range(at + first, at + last + 1)]
-    bins = [k for k in beside if 1 < k < spectrum.shape[2]]
+    (first, last), away = NUMBERS.noise_bins, np.abs(np.arange(spectrum.shape[2]) - at)
+    bins = np.flatnonzero((away >= first) & (away <= last))
     frames = np.flatnonzero(np.isin(recording.centre_rev, centre_rev))
-    power = np.square(np.abs(spectrum[np.ix_(np.array(channels), frames, np.array(bins))].astype(np.complex128)))
+    power = np.square(np.abs(spectrum[np.ix_(np.array(channels), frames, bins[bins > 1])].astype(np.complex128)))
     median = np.nanmedian(np.where(np.isfinite(power), power, np.nan), axis=2) / np.log(2.0)
     return np.asarray(np.nan_to_num(median))
 
@@ -336,15 +336,13 @@ def parted_lines(followed: Sequence[xr.Dataset], *, near: float, reach: float) -
     most = max((len(group) for _, group in groups), default=0)
     if most < 2:
         return []
-    parted: list[list[Followed]] = [[] for _ in range(most)]
+    parted = []
     for tracks, group in groups:
-        if len(group) != most:
-            continue
-        numbers = tracks["order"].values[group]
-        for lines, place in zip(parted, group, strict=True):
-            apart = np.abs(numbers - tracks["order"].values[place])
-            lines.append(_read(tracks, place, float(apart[apart > 0.0].min())))
-    return parted
+        if len(group) == most:
+            apart = np.diff(tracks["order"].values[group], prepend=-np.inf, append=np.inf)
+            nearest = np.minimum(apart[1:], apart[:-1]).tolist()
+            parted.append([_read(tracks, place, away) for place, away in zip(group, nearest, strict=True)])
+    return [list(lines) for lines in zip(*parted, strict=True)]
 
 
 def stands_out(followed: Sequence[xr.Dataset], *, near: float, reach: float) -> bool | None:
@@ -378,30 +376,23 @@ def _chain(tracks: xr.Dataset, near: float, reach: float) -> list[int]:
 
 def _read(tracks: xr.Dataset, place: int, nearest: float) -> Followed:
     """The order number ``place`` of ``tracks``, which is ``nearest`` orders from the next line."""
-    order, course = float(tracks["order"].values[place]), _course(tracks, place)
-    unread = (PARTED_NUMBERS.unread_share * nearest) ** 2
-    if course is None:
-        return Followed(tracks, place, order, unread, by_phase=False, course=None)
-    span = float(np.ptp(tracks["crank_angle"].values))
-    bandwidth = float(np.median(tracks["bandwidth_hz"].values[place] * 60.0 / tracks["speed"].values))
-    variance = (course.half / ZOOM.sure_sigmas) ** 2
-    if bandwidth * span < ZOOM.stretches:
-        variance, course = variance + (ZOOM.swept_turns_rev / span) ** 2, replace(course, slopes=np.zeros(0))
-    if variance > unread:
-        return Followed(tracks, place, order, unread, by_phase=False, course=None)
-    witness = course if len(course.slopes) else None
-    return Followed(tracks, place, order + course.offset, variance, by_phase=True, course=witness)
-
-
-def _course(tracks: xr.Dataset, place: int) -> Course | None:
-    """How the phase of the order number ``place`` of ``tracks`` runs from that number."""
+    order, angle = float(tracks["order"].values[place]), tracks["crank_angle"].values
     values = tracks["amplitude"].values[:, place]
     noise = 2.0 * np.square(tracks["standard_error"].values[:, place])
     seen = np.isfinite(values) & np.isfinite(noise)
     channels = seen.any(axis=1)
     rows = channels.any() & seen[channels].all(axis=0)
     kept = np.ix_(channels, rows)
-    return course_of(values[kept], tracks["crank_angle"].values[rows], noise[kept])
+    course = course_of(values[kept], angle[rows], noise[kept])
+    unread, span = (PARTED_NUMBERS.unread_share * nearest) ** 2, float(np.ptp(angle))
+    bandwidth = float(np.median(tracks["bandwidth_hz"].values[place] * 60.0 / tracks["speed"].values))
+    remembers = bandwidth * span < ZOOM.stretches
+    variance = np.inf if course is None else (course.half / ZOOM.sure_sigmas) ** 2
+    variance += (ZOOM.swept_turns_rev / span) ** 2 if remembers else 0.0
+    if course is None or variance > unread:
+        return Followed(tracks, place, order, unread, by_phase=False, course=None)
+    witness = None if remembers or not len(course.slopes) else course
+    return Followed(tracks, place, order + course.offset, variance, by_phase=True, course=witness)
 
 
 def lines_of(
@@ -414,9 +405,13 @@ def lines_of(
     """
     shown = []
     for line in lines:
-        rows = [_rows(track, line.channel) for track in followed]
-        speed, size, error, degrees_of_freedom = (np.concatenate(column) for column in zip(*rows, strict=True))
-        clear = np.flatnonzero(size > PARTED_NUMBERS.clear_sigmas * error)
+        tracks = [track.tracks.isel(order=track.place).sel(channel=line.channel) for track in followed]
+        speed, size, error, degrees_of_freedom = (
+            np.concatenate([track[name].values for track in tracks])
+            for name in ("speed", "amplitude", "standard_error", "degrees_of_freedom")
+        )
+        size, degrees_of_freedom = np.abs(size), degrees_of_freedom.astype(np.float64)
+        clear = np.flatnonzero(np.isfinite(size) & np.isfinite(error) & (size > PARTED_NUMBERS.clear_sigmas * error))
         if not len(clear):
             continue
         apart = np.abs(speed_rpm[:, None] - speed[clear])
@@ -426,12 +421,3 @@ def lines_of(
         read = line.read_again((order, order_error), at, speed[row], size[row], error[row], degrees_of_freedom[row])
         shown.append(replace(read, evidence="follows the speed"))
     return shown
-
-
-def _rows(followed: Followed, channel: str) -> tuple[Floats, Floats, Floats, Floats]:
-    """Speeds, amplitudes, errors and degrees of freedom of the rows of ``followed`` that know the ``channel``."""
-    tracks = followed.tracks.isel(order=followed.place).sel(channel=channel)
-    size, error = np.abs(tracks["amplitude"].values), tracks["standard_error"].values
-    known = np.isfinite(size) & np.isfinite(error)
-    degrees_of_freedom = tracks["degrees_of_freedom"].values.astype(np.float64)
-    return tracks["speed"].values[known], size[known], error[known], degrees_of_freedom[known]
