@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from crankorder.identify.crossings import amplification, crossings
 from crankorder.identify.modes.responses import held_amplitudes, shapes
-from crankorder.identify.speeds.crossings import amplification, crossings
 from crankorder.settings import load_settings
 from made.found_lines import SPEEDS_RPM, agreed, fit, fitted_response, line, made_response, mode, resonant
 

@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from crankorder.identify.crossings import crossings
 from crankorder.identify.found import SpeedVerdicts, UnseenBound
 from crankorder.identify.modes.responses import held_amplitudes
-from crankorder.identify.speeds.crossings import crossings
-from crankorder.identify.speeds.speeds_to_avoid import Sizes, as_avoided, lone_peaks, speeds_to_avoid
+from crankorder.identify.speeds_to_avoid import Sizes, as_avoided, lone_peaks, speeds_to_avoid
 from crankorder.settings import load_settings
 from made.drawn_orders import drawn_machine, judged
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, made_response, mode, resonant

@@ -11,7 +11,7 @@ import xarray as xr
 from scipy.special import gammainccinv
 
 from crankorder.findings import Energy, EnergyShares
-from crankorder.identify.causes.explain import Causes
+from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrders, ModalFit
 from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
 from crankorder.identify.lines.line_evidence import highest_of_three, log_chance_of_kurtosis, noise_level

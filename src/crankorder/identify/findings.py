@@ -23,10 +23,10 @@ from crankorder.findings import (
 )
 from crankorder.findings import Motor as MotorRecord
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
-from crankorder.identify.bearings.records import bearing_records
-from crankorder.identify.causes.explain import Beside, Causes, explained, with_neighbours_named
-from crankorder.identify.causes.sidebands import swing_sidebands
+from crankorder.identify.bearing_records import bearing_records
+from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
+from crankorder.identify.explain import Beside, Causes, explained, with_neighbours_named
 from crankorder.identify.found import (
     NO_FITS,
     AgreedOrder,
@@ -62,8 +62,8 @@ from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_blocks import with_locks_through_modes
 from crankorder.identify.modes.responses import held_peak
 from crankorder.identify.modes.settled_tones import with_tones_settled
-from crankorder.identify.speeds.crossings import crossings
-from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
+from crankorder.identify.sidebands import swing_sidebands
+from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.intervals import Z95, half_width, interval, positive_interval, size_interval
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure

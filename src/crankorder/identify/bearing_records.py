@@ -12,7 +12,7 @@ import xarray as xr
 
 from crankorder.engine.machine_parts import Bearing
 from crankorder.findings import BearingFinding
-from crankorder.identify.bearings.envelope_lines import (
+from crankorder.identify.envelope_lines import (
     Candidate,
     EnvelopeLine,
     Place,

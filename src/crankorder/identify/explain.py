@@ -9,17 +9,6 @@ import numpy as np
 
 from crankorder.cause import Cause, CauseKind, alike_speeds, of_mains, of_order
 from crankorder.findings import BearingFinding, Lock
-from crankorder.identify.causes.sidebands import (
-    BY_ITSELF,
-    LineCauses,
-    StruckRace,
-    explain_families,
-    race_cause,
-    sideband_of,
-    sidebands,
-    spacings_of,
-    struck_races,
-)
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.lines.growth import NO_MOTION, largest, order_one
 from crankorder.identify.lines.known_lines import LineSeen, named_by
@@ -36,6 +25,17 @@ from crankorder.identify.machine_model import (
     parts_at,
 )
 from crankorder.identify.modes.tones import NUMBERS as TONES
+from crankorder.identify.sidebands import (
+    BY_ITSELF,
+    LineCauses,
+    StruckRace,
+    explain_families,
+    race_cause,
+    sideband_of,
+    sidebands,
+    spacings_of,
+    struck_races,
+)
 from crankorder.orders.intervals import half_width
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.settings import IdentifySettings, MethodNumbers

@@ -10,6 +10,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from crankorder.findings import AvoidedSpeed, CrossingFinding, FreeBand, OpenBand
+from crankorder.identify.crossings import NUMBERS as CROSSINGS
+from crankorder.identify.crossings import fitted_excess, higher, responses_to, width_rpm
 from crankorder.identify.found import (
     AgreedOrder,
     AgreedOrders,
@@ -24,8 +26,6 @@ from crankorder.identify.found import (
 from crankorder.identify.lines.growth import largest, reported_within
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import EXCLUSION, HeldPeak, peak_of, together, with_and_without
-from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
-from crankorder.identify.speeds.crossings import fitted_excess, higher, responses_to, width_rpm
 from crankorder.orders.intervals import Z95, half_width
 from crankorder.quantities import Bools
 from crankorder.records import Ends, known

@@ -260,8 +260,8 @@ def _measured(
     if best is not None and best is not trend:
         low, high = best.ratio_low, best.ratio_high
         times = f"{best.ratio:.2g} times" if np.isfinite(high) else f"at least {low:.2g} times"
-        ends = f" ({low:.2g} to {high:.2g})" if np.isfinite(high) else ""
-        evidence = f"in {best.channel} {times} what it is without the mode, by the fit{ends}"
+        span = f" ({low:.2g} to {high:.2g})" if np.isfinite(high) else ""
+        evidence = f"in {best.channel} {times} what it is without the mode, by the fit{span}"
     # a resonance that was measured through without the order rising is not excited
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     quiet = resolved and bool(trends) and max(excess.ratio_high for excess in trends) < least
