@@ -117,7 +117,7 @@ def speeds_to_avoid(
     numbered = {(finding.order, finding.mode_hz) for finding in findings if finding.amplification is not None}
     # a meeting that has a number of its own keeps that one: the reason says how the peak stands over its neighbours
     met += [replace(peak, amplification=None) if (peak.order, peak.mode_hz) in numbered else peak for peak in lone]
-    by_cost = sorted(_joined(met), key=lambda peak: (_negative_cost(peak), peak.rpm))
+    by_cost = sorted(_joined(met), key=lambda peak: (-(peak.cost or 0.0), peak.rpm))
     avoid = tuple(replace(peak, rank=rank) for rank, peak in enumerate(by_cost, start=1))
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
@@ -162,11 +162,6 @@ def as_avoided(found: Sequence[Crossing], avoid: Sequence[AvoidedSpeed]) -> tupl
 def _range(peak: AvoidedSpeed) -> Ends:
     """Speeds to stay out of around ``peak``."""
     return cast("Ends", peak.rpm_range)
-
-
-def _negative_cost(peak: AvoidedSpeed) -> float:
-    """Cost of ``peak`` with a minus sign, as a key that sorts the costliest first."""
-    return -(peak.cost or 0.0)
 
 
 def _is_vague(crossing: Crossing) -> bool:
@@ -275,7 +270,7 @@ def _joined(met: list[AvoidedSpeed]) -> list[AvoidedSpeed]:
         else:
             groups.append([peak])
     for group in groups:
-        by_cost = sorted(group, key=_negative_cost)
+        by_cost = sorted(group, key=lambda peak: -(peak.cost or 0.0))
         begins, ends = zip(*map(_range, group), strict=True)
         speed = replace(
             by_cost[0],

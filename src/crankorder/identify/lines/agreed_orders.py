@@ -15,6 +15,7 @@ from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.line_phasors import (
     NO_PULSES,
     SURE_FREEDOM,
+    Bin,
     Followed,
     Recording,
     any_swept,
@@ -291,17 +292,12 @@ def _all_channels(group: list[OrderLine], test: _Test) -> list[OrderLine]:
 
 def _zooms(group: list[OrderLine], test: _Test, bin_order: float, expected: float) -> dict[int, Zoomed]:
     """The line of ``group`` in each recording that runs at speeds at which it is seen."""
-    names = test.order_map["channel"].values.tolist()
-    return zooms(
-        test.recordings,
-        channels=[names.index(line.channel) for line in group],
-        at=test.bin_near(bin_order),
-        speeds_rpm=np.unique(np.concatenate([line.speed_rpm for line in group])),
-        speed_bin_rpm=float(test.order_map.attrs.get("speed_bin_rpm", 25.0)),
-        near=expected - bin_order,
-        # what long frames of a sweep do not part is no pair: modes make short ones look like two
-        alone=stands_out(test.followed, near=expected, reach=np.inf) is not None,
-    )
+    names, width = test.order_map["channel"].values.tolist(), float(test.order_map.attrs.get("speed_bin_rpm", 25.0))
+    channels = [names.index(line.channel) for line in group]
+    place = Bin(channels, test.bin_near(bin_order), np.concatenate([line.speed_rpm for line in group]), width)
+    # what long frames of a sweep do not part is no pair: modes make short ones look like two
+    alone = stands_out(test.followed, near=expected, reach=np.inf) is not None
+    return zooms(test.recordings, place, near=expected - bin_order, alone=alone)
 
 
 def _joined(numbers: list[tuple[float, float, float]]) -> _Number:

@@ -175,16 +175,28 @@ def recordings_of(frames: Sequence[xr.Dataset]) -> list[Recording]:
 Phasors = tuple[Recording, Complexes, Floats, Floats]
 
 
-def phasors_at(
-    recordings: Sequence[Recording], *, channels: list[int], at: int, speeds_rpm: Floats, speed_bin_rpm: float
-) -> dict[int, Phasors]:
-    """Of each of ``recordings`` itself, the phasors (channels, frames) in the bin ``at``, the frames' middles, speeds.
+@dataclass(frozen=True, eq=False)
+class Bin:
+    """The bin ``at`` of some ``channels`` (numbers), from the least to the largest of ``speeds_rpm``.
 
-    Frames of ``channels`` count whose speed is between the least and the largest of ``speeds_rpm``, give or take
-    ``speed_bin_rpm``, and that are whole in all channels; recordings with fewer than two are left out.
+    Give or take ``speed_bin_rpm``.
+    """
+
+    channels: list[int]
+    at: int
+    speeds_rpm: Floats
+    speed_bin_rpm: float
+
+
+def phasors_at(recordings: Sequence[Recording], place: Bin) -> dict[int, Phasors]:
+    """Of each of ``recordings`` itself, the phasors (channels, frames) in the bin ``place``, frames' middles, speeds.
+
+    Frames count whose speed is that of the bin and that are whole in all channels; recordings with fewer than two are
+    left out.
     """
     picked: dict[int, Phasors] = {}
-    low, high = float(np.min(speeds_rpm)) - speed_bin_rpm, float(np.max(speeds_rpm)) + speed_bin_rpm
+    channels, at = place.channels, place.at
+    low, high = np.min(place.speeds_rpm) - place.speed_bin_rpm, np.max(place.speeds_rpm) + place.speed_bin_rpm
     for number, recording in enumerate(recordings):
         speed = recording.speed_rpm
         known = np.isfinite(low) and bool(np.isfinite(speed).all())
@@ -198,34 +210,23 @@ def phasors_at(
     return picked
 
 
-def zooms(
-    recordings: Sequence[Recording],
-    *,
-    channels: list[int],
-    at: int,
-    speeds_rpm: Floats,
-    speed_bin_rpm: float,
-    near: float,
-    alone: bool = False,
-) -> dict[int, Zoomed]:
-    """The line in the bin ``at`` of the ``channels`` in each of ``recordings`` that shows it, by its number.
+def zooms(recordings: Sequence[Recording], place: Bin, *, near: float, alone: bool = False) -> dict[int, Zoomed]:
+    """The line in the bin ``place`` in each of ``recordings`` that shows it, by its number.
 
-    ``speeds_rpm`` and ``speed_bin_rpm`` pick frames as in :func:`phasors_at`; ``near`` is the distance from the bin, in
-    orders, that is expected; where ``alone`` no second line is looked for.
+    ``near`` is the distance from the bin, in orders, that is expected; where ``alone`` no second line is looked for.
     """
-    picked = phasors_at(recordings, channels=channels, at=at, speeds_rpm=speeds_rpm, speed_bin_rpm=speed_bin_rpm)
     lines: dict[int, Zoomed] = {}
-    for number, (recording, phasors, centre, speed) in picked.items():
+    for number, (recording, phasors, centre, speed) in phasors_at(recordings, place).items():
         swept = is_swept(speed)
         frames = Frames(centre, recording.revs, recording.hop_rev, swept, _drift(centre, speed))
-        noise = _noise_beside(recording, channels, at, centre) if swept else None
+        noise = _noise_beside(recording, place, centre) if swept else None
         line = zoomed(phasors, frames, noise=noise, near=near, alone=alone)
         if line is not None:
-            lines[number] = _solved_together(line, recording, channels, at, centre)
+            lines[number] = _solved_together(line, recording, place, centre)
     return lines
 
 
-def _solved_together(line: Zoomed, recording: Recording, channels: list[int], at: int, centre_rev: Floats) -> Zoomed:
+def _solved_together(line: Zoomed, recording: Recording, place: Bin, centre_rev: Floats) -> Zoomed:
     """``line`` with its second one as the least squares of both say; as they are where these do not settle apart.
 
     From frame to frame the phase of a line tells its order but for multiples of the reciprocal hop; of these the second
@@ -235,9 +236,9 @@ def _solved_together(line: Zoomed, recording: Recording, channels: list[int], at
     if second is None or line.swept:
         return line
     kept = np.isin(recording.centre_rev, centre_rev)
-    frames = recording.spectrum[channels][:, kept], recording.centre_rev[kept]
+    frames = recording.spectrum[place.channels][:, kept], recording.centre_rev[kept]
     speed = np.nan_to_num(recording.speed_rpm[kept], nan=60.0)
-    order, revs = at / recording.revs, recording.revs
+    order, revs = place.at / recording.revs, recording.revs
     band = Band.about(HeldFrames.of(*frames, speed, revs=revs), order, order)
     if band is None:
         return line
@@ -260,7 +261,7 @@ def _solved_together(line: Zoomed, recording: Recording, channels: list[int], at
 
     # of what one bin holds of noise, two phasors and two numbers took three parts
     parts = HANN_ENBW * band.held.span_rev / revs
-    left = np.square(np.abs(band.spectra(pair.left)[:, band.bins == at])).mean(axis=(0, 1)) * np.square(band.unit)
+    left = np.square(np.abs(band.spectra(pair.left)[:, band.bins == place.at])).mean(axis=(0, 1)) * np.square(band.unit)
     left *= parts / max(parts - 3.0, 1.0)
     return replace(solved(0, line), second=solved(1, second), left=left)
 
@@ -279,13 +280,13 @@ def _drift(centre_rev: Floats, speed_rpm: Floats) -> float:
     return abs(slope) * float(np.ptp(centre_rev))
 
 
-def _noise_beside(recording: Recording, channels: list[int], at: int, centre_rev: Floats) -> Floats:
-    """Noise power (channels, frames) from the bins on both sides of ``at`` beyond its lobe."""
+def _noise_beside(recording: Recording, place: Bin, centre_rev: Floats) -> Floats:
+    """Noise power (channels, frames) from the bins on both sides of that at ``place`` beyond its lobe."""
     spectrum = recording.spectrum
-    (first, last), away = NUMBERS.noise_bins, np.abs(np.arange(spectrum.shape[2]) - at)
+    (first, last), away = NUMBERS.noise_bins, np.abs(np.arange(spectrum.shape[2]) - place.at)
     bins = np.flatnonzero((away >= first) & (away <= last))
     frames = np.flatnonzero(np.isin(recording.centre_rev, centre_rev))
-    power = np.square(np.abs(spectrum[np.ix_(np.array(channels), frames, bins[bins > 1])].astype(np.complex128)))
+    power = np.square(np.abs(spectrum[np.ix_(np.array(place.channels), frames, bins[bins > 1])].astype(np.complex128)))
     median = np.nanmedian(np.where(np.isfinite(power), power, np.nan), axis=2) / np.log(2.0)
     return np.asarray(np.nan_to_num(median))
 

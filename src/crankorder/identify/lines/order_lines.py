@@ -26,7 +26,7 @@ from crankorder.identify.lines.line_evidence import (
     keeps_one_order,
     noise_chance,
 )
-from crankorder.identify.lines.line_phasors import Phasors, Recording, any_swept, phasors_at, recordings_of, zooms
+from crankorder.identify.lines.line_phasors import Bin, Phasors, Recording, any_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.orders.averages import HeldSizes, SizeRows
 from crankorder.orders.intervals import half_width
@@ -90,9 +90,7 @@ class _Search:
 
     def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> Iterable[Phasors]:
         """What the frames hold of the bin ``peak`` near ``speeds_rpm``, within so many ``bins`` of speed."""
-        width = bins * self.speed_bin_rpm
-        recordings = self.recordings
-        return phasors_at(recordings, channels=[channel], at=peak, speeds_rpm=speeds_rpm, speed_bin_rpm=width).values()
+        return phasors_at(self.recordings, Bin([channel], peak, speeds_rpm, bins * self.speed_bin_rpm)).values()
 
 
 def order_lines(
@@ -209,15 +207,8 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chanc
         return False
     floor = float(np.median(search.over.floor[channel, seen, peak]))
     for alone in (True, False):  # two lines that beat hide each other's steadiness
-        by_recording = zooms(
-            search.recordings,
-            channels=[channel],
-            at=peak,
-            speeds_rpm=search.speed[seen],
-            speed_bin_rpm=search.speed_bin_rpm,
-            near=0.0,
-            alone=alone,
-        )
+        place = Bin([channel], peak, search.speed[seen], search.speed_bin_rpm)
+        by_recording = zooms(search.recordings, place, near=0.0, alone=alone)
         lines = [
             line
             for line in by_recording.values()  # a resonance that noise excites leaves far more than two lines do
