@@ -169,7 +169,7 @@ def test_an_order_whose_amplitude_changes_is_found_and_its_interval_reaches_over
 
 
 FLOAT32 = 2e-7
-DRAWN = [("run-up", 11), ("repeated sweep", 12), ("stepped few", 13), ("one speed", 14)]
+DRAWN = [("stepped few", 13), ("run-up", 11), ("repeated sweep", 12), ("one speed", 14)]
 
 
 @pytest.mark.cases(1)
