@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import maximum_filter1d
 from scipy.special import gammaincc, gammainccinv, gammaincinv, gammaln
 
 from crankorder.identify.found import Evidence, OrderLine
@@ -178,7 +177,10 @@ def _median_distribution(n: float, bins: float) -> tuple[Floats, Floats]:
 def highest_of_three(energy: Floats) -> Bools:
     """Where ``energy`` (…, orders) is not below either neighbour: a line that moves past a bin is no line at it."""
     filled = np.nan_to_num(energy)
-    return np.asarray(filled >= maximum_filter1d(filled, 3, mode="nearest"))
+    highest = np.ones(filled.shape, dtype=bool)
+    highest[..., 1:] &= filled[..., 1:] >= filled[..., :-1]
+    highest[..., :-1] &= filled[..., :-1] >= filled[..., 1:]
+    return highest
 
 
 def _log_chance_of_coherence(order_map: xr.Dataset, at: Any) -> Floats:
