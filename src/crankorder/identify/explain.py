@@ -197,14 +197,14 @@ def _electric(
             sure |= {agreed.order} if seen.alone else set()
     changed = LineCauses()
     for (channel, order), cause in causes.items():
-        made, multiple, is_sure = electric.get(order), of_cycle[order], order in sure
-        if made is None:
+        maker, multiple, is_sure = electric.get(order), of_cycle[order], order in sure
+        if maker is None:
             continue
         if not cause.known or (is_sure and cause.is_just(*OF_NUMBER)):
             either = is_sure or multiple is None
-            changed[channel, order] = made if either else made.either(of_order(f"order {multiple:g}"))
+            changed[channel, order] = maker if either else maker.either(of_order(f"order {multiple:g}"))
         elif multiple is None or cause.is_just(*OF_NUMBER) or is_sure:
-            changed[channel, order] = replace(cause.either(made), evidence=f"{made.evidence}; {cause.evidence}")
+            changed[channel, order] = replace(cause.either(maker), evidence=f"{maker.evidence}; {cause.evidence}")
     return changed
 
 

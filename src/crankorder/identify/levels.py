@@ -134,8 +134,8 @@ def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Mach
         rows = [row for row in _rows(table, "broad band") if _is_for(table, row, limit)]
         verdicts += [_verdict(table, row, limit) for row in rows]
         unit, size = UNITS[limit.quantity]
-        told = [names[row] for row in rows]
-        missing = [name for name in limit.channels or dict.fromkeys(names if not rows else ()) if name not in told]
+        judged = [names[row] for row in rows]
+        missing = [name for name in limit.channels or dict.fromkeys(names if not rows else ()) if name not in judged]
         untold = "no level could be told in that band: the recordings are too short, or sampled too slowly"
         seen = {"verdict": "not decided", "evidence": untold}
         verdicts += [_on(limit, limit.value_si / size, unit, channel=name, **seen) for name in missing]

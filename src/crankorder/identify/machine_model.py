@@ -189,15 +189,15 @@ def cycle_forces(engine: Engine, orders: Sequence[tuple[float, float]]) -> tuple
         _, gas = gas_torque_by_order(engine, highest)
     except RequestError:
         return (None,) * len(orders)
-    lever, made = engine.crank_radius_m + engine.rod_length_m, list[CycleForce]()
+    lever, forces = engine.crank_radius_m + engine.rod_length_m, list[CycleForce]()
     for order, rpm in orders:
         at, force, torque = round(order), 0.0, 0.0
         if abs(order - at) < 1e-6:
             force = float(np.abs(crankcase_forces(engine, rpm, max_order=highest))[:, at].max())
             torque = float(np.abs(crankcase_moments(engine, rpm, max_order=highest))[1, at])
         peak = float(np.abs(gas[round(order * engine.revs_per_cycle)]))
-        made.append(CycleForce(order, rpm, peak, torque, force, lever))
-    return tuple(made)
+        forces.append(CycleForce(order, rpm, peak, torque, force, lever))
+    return tuple(forces)
 
 
 def gas_half_orders(orders: Iterable[float]) -> tuple[str, ...]:

@@ -495,8 +495,8 @@ def lone_peaks(
             (begin, end), reach = _range(peak), 1.0
             if line.n_independent is not None:
                 reach += LONE_NUMBERS.around_share
-            told = [other for other in (*avoided, *lone) if any(_is_order(order, mine) for mine in other.orders)]
-            if not any(_range(other)[0] <= reach * end and begin <= reach * _range(other)[1] for other in told):
+            same = [other for other in (*avoided, *lone) if any(_is_order(order, mine) for mine in other.orders)]
+            if not any(_range(other)[0] <= reach * end and begin <= reach * _range(other)[1] for other in same):
                 lone.append(peak)
     return lone
 

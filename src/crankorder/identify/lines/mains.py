@@ -70,10 +70,10 @@ def supply_told(places_hz: Sequence[tuple[float, float]], *, settings: IdentifyS
     where none or both are told. ``settings``: the mains frequencies and how far they wander.
     """
     near = [multiples_near(hertz, error, settings=settings) for hertz, error in places_hz]
-    told = [of_line[0] for of_line in near if len(of_line) == 1]
-    supplies = {mains for _, mains in told}
+    certain = [of_line[0] for of_line in near if len(of_line) == 1]
+    supplies = {mains for _, mains in certain}
     if len(supplies) > 1:
-        supplies = {mains for multiple, mains in told if multiple <= NUMBERS.alone_multiples}
+        supplies = {mains for multiple, mains in certain if multiple <= NUMBERS.alone_multiples}
     return supplies.pop() if len(supplies) == 1 else None
 
 
