@@ -64,7 +64,7 @@ class Sizes:
 
     @classmethod
     def of(cls, orders: Sequence[AgreedOrder], unit: Mapping[str, str]) -> Sizes:
-        """Of the ``orders`` of a test, whose channels have these units."""
+        """Of the ``orders`` of a test; ``unit`` is that of each channel."""
         largest: dict[str, float] = {}
         for line in (line for agreed in orders for line in agreed.lines):
             largest[line.channel] = max(largest.get(line.channel, 0.0), float(line.amplitude.max()))
