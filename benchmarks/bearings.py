@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from published import publish, table
 from scipy.signal import hilbert
 
-from crankorder.identify.bearings.envelope_lines import Place, bearing_combs, bearing_places, line_chances, spectra_of
+from crankorder.identify.envelope_lines import Place, bearing_combs, bearing_places, line_chances, spectra_of
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.orders.envelope_combs import free_of_others
 from crankorder.settings import load_settings

@@ -29,7 +29,7 @@ from crankorder.engine.machine_parts import Bearing
 from crankorder.fft.decimation import band_limited
 from crankorder.findings import Channel, Findings, nothing_sought, quality_of
 from crankorder.flow import StagePlan
-from crankorder.identify.bearings.envelope_lines import bearing_combs
+from crankorder.identify.envelope_lines import bearing_combs
 from crankorder.identify.found import SweepFits
 from crankorder.identify.machine_model import MachineModel
 from crankorder.ingest.manifest import Manifest

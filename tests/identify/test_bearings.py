@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.engine.machine_parts import Bearing, bearing_orders
-from crankorder.identify.bearings.records import bearing_records, races_words
+from crankorder.identify.bearing_records import bearing_records, races_words
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.found_lines import agreed, line

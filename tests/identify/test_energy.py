@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.causes.explain import Cause, Causes
 from crankorder.identify.energy import energy_shares
+from crankorder.identify.explain import Cause, Causes
 from crankorder.identify.found import Tone
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line

@@ -9,13 +9,13 @@ from scipy.io import loadmat
 
 from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.findings import BearingFinding
-from crankorder.identify.causes.explain import Beside, Cause, Causes, MachineModel, explained, with_neighbours_named
-from crankorder.identify.causes.sidebands import race_cause, struck_races
+from crankorder.identify.explain import Beside, Cause, Causes, MachineModel, explained, with_neighbours_named
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.line_evidence import ShownAlias
 from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import StatedPart
 from crankorder.identify.modes.tones import without_doubles
+from crankorder.identify.sidebands import race_cause, struck_races
 from crankorder.ingest.manifest import Gear
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE

@@ -62,7 +62,7 @@ def test_a_line_in_too_short_a_test_is_named_with_its_reservation():
 
 
 @pytest.mark.cases(1)
-@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 25), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [range(5), pytest.param(range(5, 25), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("damping", [0.003, 0.01, 0.02])
 def test_a_resonance_exactly_on_an_order_is_no_order_though_one_speed_was_run(damping, seeds):
     def ringing(seed):

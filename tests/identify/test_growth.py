@@ -48,12 +48,12 @@ def test_the_interval_of_the_mean_level_holds_it():
     assert 0.93 <= coverage(inside, 400) <= 0.985
 
 
-def test_laws_are_named_but_of_three_speeds_or_one():
+def test_laws_are_named_but_of_three_speeds_or_of_speeds_within_a_tenth():
     rng = np.random.default_rng(1)
     assert growth(line_of(rng, np.ones(35))).law == "keeps its size"
     assert growth(line_of(rng, (SPEEDS / 1000.0) ** 2)).law == "grows with speed^n"
-    assert growth(line_of(rng, np.ones(3), speed=SPEEDS[:3])) is None
-    assert growth(line_of(rng, np.ones(5), speed=np.full(5, 900.0))) is None
+    for exponent, speed in ((0.0, SPEEDS[:3]), (0.0, np.full(5, 900.0)), (2.0, np.linspace(2800.0, 3050.0, 12))):
+        assert growth(line_of(rng, (speed / 2800.0) ** exponent, speed=speed, relative=0.002)) is None
 
 
 @pytest.mark.slow
@@ -86,15 +86,6 @@ def test_an_exact_amplitude_has_no_width_and_an_unknown_one_no_end():
     assert largest(line).low == largest(line).high == 1.0
     unknown = largest(replace(line, amplitude_error=np.full(2, np.inf)))
     assert (unknown.low, unknown.high) == (0.0, np.inf)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
-def test_speeds_within_a_tenth_are_one_and_tell_no_growth(seed):
-    rng = np.random.default_rng(seed)
-    speed = np.linspace(2800.0, 2800.0 * rng.uniform(1.001, 1.09), 12)
-    for exponent in (0.0, 2.0):
-        assert growth(line_of(rng, (speed / 2800.0) ** exponent, speed=speed, relative=0.002)) is None
 
 
 # 95 % intervals of amplitude and phase hold the truth 95 times in 100 over machines that differ in everything.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import false_discovery_control, norm
 
-from crankorder.identify.speeds.crossings import crossings
+from crankorder.identify.crossings import crossings
 from crankorder.orders.intervals import Z95, adjusted, claimed, error_of, half_width, half_widths, interval, simes
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, mode

@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.lines.followed_orders import track_number
+from crankorder.identify.lines.growth import Largest
 from crankorder.identify.lines.line_evidence import is_steady
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.modes.order_responses import Force
@@ -168,7 +169,7 @@ def test_an_order_whose_amplitude_changes_is_found_and_its_interval_reaches_over
 
 
 FLOAT32 = 2e-7
-DRAWN = [("run-up", 11), ("repeated sweep", 12), ("stepped few", 13), ("one speed", 14)]
+DRAWN = [("stepped few", 13), ("run-up", 11), ("repeated sweep", 12), ("one speed", 14)]
 
 
 @pytest.mark.cases(1)
@@ -215,9 +216,9 @@ def _response(*, recording="r1", fits=True, error=0.01):
     return replace(made, force=force, covariance=covariance, error=error, fits=fits, recording=recording)
 
 
-def _held(*responses, error=0.0, order=2.0, channel="X"):
+def _held(*responses, error=0.0, order=2.0, channel="X", size=1.0):
     modal = ModalFit((mode(60.0, 0.01),), (), np.diag([0.0, error**2]), responses or (_response(),))
-    return held_peak(modal, order, channel, largest_rpm=1800.0)
+    return held_peak(modal, order, channel, seen=Largest(0, 1800.0, size, size, size))
 
 
 def test_a_held_order_reaches_what_its_mode_amplifies():
@@ -234,3 +235,4 @@ def test_no_response_beside_the_largest_amplitude_says_anything_of_held_speeds()
     for silent in (beside, _response(recording=""), _response(fits=False)):
         assert _held(silent) is None
     assert _held(channel="Y") is None and _held(order=2.5) is None
+    assert _held(size=60.0) is None  # no sweep makes an order larger

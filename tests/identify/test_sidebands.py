@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.causes.explain import multiple_of_cycle
-from crankorder.identify.causes.sidebands import sidebands, swing_sidebands
+from crankorder.identify.explain import multiple_of_cycle
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.lines.agreed_orders import sideband_of, unless_sidebands
+from crankorder.identify.sidebands import sidebands, swing_sidebands
 from crankorder.orders.true_angle import HALF_ORDERS, SHOWN
 from made.found_lines import agreed, line
 

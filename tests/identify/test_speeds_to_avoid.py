@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from crankorder.identify.crossings import crossings
 from crankorder.identify.found import SpeedVerdicts, UnseenBound
 from crankorder.identify.modes.responses import held_amplitudes
-from crankorder.identify.speeds.crossings import crossings
-from crankorder.identify.speeds.speeds_to_avoid import as_avoided, lone_peaks, speeds_to_avoid
+from crankorder.identify.speeds_to_avoid import Sizes, as_avoided, lone_peaks, speeds_to_avoid
 from crankorder.settings import load_settings
 from made.drawn_orders import drawn_machine, judged
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, made_response, mode, resonant
@@ -273,9 +273,8 @@ def test_of_a_quiet_machine_in_fine_steps_most_speeds_are_free(seed):
 
 def _peaks(sizes, avoided=(), **channels):
     lines = [line(4.0, share * sizes, channel=name) for name, share in (channels or {"A": 1.0}).items()]
-    largest = {one.channel: float(one.amplitude.max()) for one in lines}
-    given = {"largest": largest, "in_unit": largest, "unit": {"A": "m/s²", "B": "m/s²"}, "factor": 3.0}
-    return lone_peaks([agreed(4.0, *lines)], fit(), avoided, **given)
+    orders = [agreed(4.0, *lines)]
+    return lone_peaks(orders, fit(), avoided, Sizes.of(orders, {"A": "m/s²", "B": "m/s²"}), factor=3.0)
 
 
 @pytest.mark.cases(1)

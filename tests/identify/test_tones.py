@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from crankorder.identify.causes.explain import Beside, explained
+from crankorder.identify.explain import Beside, explained
 from crankorder.identify.findings import going_with_speed
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN

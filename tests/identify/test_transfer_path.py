@@ -8,6 +8,7 @@ from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.machine_parts import PathMode, StatedPath
 from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders, noise_shape
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
+from crankorder.identify.machine_model import MachineModel
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, order_map_of
 from made.typed import as_dicts
 
@@ -37,7 +38,7 @@ def order_map(engine, path, *, noise=1e-4, seed=0, reference="tdc"):
 
 
 def closed(item, paths, engine):
-    record, reason = unbalance_fit(item, (), NOTHING, engine=engine, paths=tuple(paths))
+    record, reason = unbalance_fit(item, (), NOTHING, sources=MachineModel(2, engine=engine, paths=tuple(paths)))
     assert record is not None, reason
     return record
 
@@ -95,7 +96,7 @@ def test_wrong_paths_are_refused():
         ([stated("X", "Y", apparent_mass_kg=330.0)], "direction X or Z"),
         ([stated("X", "Z", apparent_mass_kg=330.0), stated("X", "X", apparent_mass_kg=330.0)], "apart"),
     ):
-        record, reason = unbalance_fit(item, (), NOTHING, engine=ENGINE, paths=tuple(paths))
+        record, reason = unbalance_fit(item, (), NOTHING, sources=MachineModel(2, engine=ENGINE, paths=tuple(paths)))
         assert record is None and words in reason
 
 

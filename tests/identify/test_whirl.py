@@ -9,15 +9,15 @@ from scipy.signal import lfilter, welch
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
-from crankorder.identify.causes.explain import Causes
+from crankorder.identify.crossings import crossings
+from crankorder.identify.explain import Causes
 from crankorder.identify.findings import Measured, find, mode_records
 from crankorder.identify.found import Mode, UnseenBound, Whirl
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.whirl import whirls_of, without_remains
-from crankorder.identify.speeds.crossings import crossings
-from crankorder.identify.speeds.speeds_to_avoid import speeds_to_avoid
+from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.report.sentences.of_lines import mode_sentences

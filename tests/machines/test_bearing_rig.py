@@ -13,8 +13,8 @@ import pytest
 from scipy.signal import hilbert
 
 from crankorder.engine.machine_parts import bearing_orders
-from crankorder.identify.bearings.envelope_lines import bearing_combs
-from crankorder.identify.bearings.records import bearing_records
+from crankorder.identify.bearing_records import bearing_records
+from crankorder.identify.envelope_lines import bearing_combs
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.report.sentences.story import headline
 from crankorder.settings import load_settings

@@ -6,7 +6,7 @@ from typing import Any
 
 from crankorder.cause import mains_words
 from crankorder.findings import Findings
-from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
+from crankorder.identify.crossings import NUMBERS as CROSSINGS
 from crankorder.plot.reading import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.records import Record, known
 from crankorder.report.sentences.of_speeds import free_bands, open_bands

@@ -6,11 +6,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.identify.crossings import crossings
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, OrderLine, SpeedVerdicts
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_responses import Block, Rows
-from crankorder.identify.speeds.crossings import crossings
-from crankorder.identify.speeds.speeds_to_avoid import speeds_to_avoid
+from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
 from made.order_amplitudes import order_map_of
 

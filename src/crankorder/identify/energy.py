@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from scipy.special import gammainccinv
 
 from crankorder.findings import Energy, EnergyShares
-from crankorder.identify.causes.explain import Causes
+from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrders, ModalFit
 from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
 from crankorder.identify.lines.line_evidence import highest_of_three, log_chance_of_kurtosis, noise_level
@@ -69,13 +70,21 @@ def energy_shares(
     else:
         judged, parts = False, [_looked_at(*by_order(order_map, orders, causes), None, settings)]
     names, units = order_map["channel"].values.tolist(), order_map["unit"].values.tolist()
-    channels = tuple(
-        _shares(name, unit, [_channel(number, part) for part in parts])
-        for number, (name, unit) in enumerate(zip(names, units, strict=True))
-    )
-    decided = [share for record in channels if (share := _fraction(record)) is not None]
-    energy = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=channels)
-    return energy, float(np.mean(decided)) if decided else 0.0
+    channels, fractions = list[EnergyShares](), list[float]()
+    for number, (name, unit) in enumerate(zip(names, units, strict=True)):
+        joined = pd.DataFrame([_channel(number, part) for part in parts]).sum()
+        total = joined.pop("total")
+        shares: dict[str, float] = (joined / total if total > 0.0 else 0.0 * joined).to_dict()
+        unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
+        lines = shares["orders"] + shares["tones"] + shares["unexplained_lines"]
+        floor = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained) if total > 0.0 else 0.0
+        shares |= {"unexplained": unexplained, "modes_and_floor": floor, "total": float(total)}
+        channels.append(EnergyShares(channel=name, unit=f"({unit})²", **shares))
+        # of what is not broadband; of all where there is no line, and nothing where nothing is unexplained
+        if lines > 0.0 or unexplained > 0.0:
+            fractions.append(unexplained / (lines + shares["unexplained_cells"]) if lines > 0.0 else unexplained)
+    energy = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=tuple(channels))
+    return energy, float(np.mean(fractions)) if fractions else 0.0
 
 
 @dataclass(frozen=True)
@@ -99,34 +108,24 @@ def _looked_at(grid: EnergyMap, lines: EnergyLines, modal: ModalFit | None, sett
     surface = _surface(grid, owner, modal)
     owner = _owners(grid.axis, _with_skirts(grid, lines, surface))
     chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, grid.energy.size))
-    if modal is None:
-        unexplained = _lines_alone(grid, owner, surface, settings.least_damping_ratio, chance)
-        return _LookedAt(grid, lines, owner, surface, unexplained)
-    return _LookedAt(grid, lines, owner, surface, _over_surface(grid, owner, surface, modal, chance))
-
-
-def _fraction(record: EnergyShares) -> float | None:
-    """Share of what is not broadband that nothing explains; of all where there is no line; None where nothing is."""
-    shares = record.orders, record.tones, record.unexplained_lines, record.unexplained_cells, record.unexplained
-    orders, tones, loose, cells, unexplained = (share or 0.0 for share in shares)
-    lines = orders + tones + loose
-    if lines > 0.0:
-        return float(unexplained / (lines + cells))
-    return float(unexplained) if unexplained > 0.0 else None
+    unexplained = (
+        _lines_alone(grid, owner, surface, settings.least_damping_ratio, chance)
+        if modal is None
+        else _over_surface(grid, owner, surface, modal, chance)
+    )
+    return _LookedAt(grid, lines, owner, surface, unexplained)
 
 
 def _owners(axis: Floats, lines: EnergyLines) -> Ints:
     """Line (rows, cells) to which each cell of ``axis`` belongs, the nearest within its reach; -1 for none."""
-    owner = np.full((len(lines.centre), len(axis)), -1)
-    for row, (centres, reaches) in enumerate(zip(lines.centre, lines.reach, strict=True)):
-        nearest = np.full(len(axis), np.inf)
-        first = np.searchsorted(axis, centres - reaches)
-        last = np.searchsorted(axis, centres + reaches, side="right")
-        for line, (a, b) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
-            away = np.abs(axis[a:b] - centres[line])
-            closer = away < nearest[a:b]
-            owner[row, a:b][closer] = line
-            nearest[a:b][closer] = away[closer]
+    owner, nearest = np.full((len(lines.centre), len(axis)), -1), np.full((len(lines.centre), len(axis)), np.inf)
+    first = np.searchsorted(axis, lines.centre - lines.reach)
+    last = np.searchsorted(axis, lines.centre + lines.reach, side="right")
+    for row, line in np.ndindex(lines.centre.shape):
+        own = row, slice(first[row, line], last[row, line])
+        away = np.abs(axis[own[1]] - lines.centre[row, line])
+        closer = away < nearest[own]
+        owner[own][closer], nearest[own][closer] = line, away[closer]
     return owner
 
 
@@ -304,24 +303,10 @@ def _energy_of_lines(looked: _LookedAt, number: int, rows: Ints, energy: Floats)
 
 def _groups(centre: Floats, near: float) -> Ints:
     """Place of the group of each line (rows, lines) in an array of that shape; chains of lines ``near`` each other."""
-    rank = np.argsort(centre, axis=1)
-    apart = np.diff(np.take_along_axis(centre, rank, axis=1), axis=1) > near
-    label = np.concatenate([np.zeros((len(centre), 1), dtype=np.int64), np.cumsum(apart, axis=1)], axis=1)
-    group = np.empty(centre.shape, dtype=np.int64)
-    np.put_along_axis(group, rank, label, axis=1)
-    return np.asarray(group + np.arange(len(centre))[:, None] * centre.shape[1], dtype=np.int64)
-
-
-def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergyShares:
-    """Shares of a ``channel`` in the sum of the ``parts`` that the maps of one band hold, and its mean square."""
-    joined = {name: sum(part[name] for part in parts) for name in parts[0]}
-    total = joined.pop("total")
-    shares = {name: part / total if total > 0.0 else 0.0 for name, part in joined.items()}
-    unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
-    floor = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained) if total > 0.0 else 0.0
-    return EnergyShares(
-        channel=channel, unit=f"({unit})²", **shares, unexplained=unexplained, modes_and_floor=floor, total=total
-    )
+    rank, group = np.argsort(centre, axis=1), np.empty(centre.shape, dtype=np.int64)
+    apart = np.diff(np.take_along_axis(centre, rank, axis=1), axis=1, prepend=-np.inf) > near
+    np.put_along_axis(group, rank, np.cumsum(apart, axis=1) - 1, axis=1)
+    return np.asarray(group + np.arange(len(centre))[:, None] * centre.shape[1])
 
 
 def _sums(place: Ints, values: Floats, shape: tuple[int, ...]) -> Floats:
@@ -382,11 +367,9 @@ def by_frequency(
     near_rpm = max(0.5 * float(campbell.attrs["speed_bin_rpm"]), 1e-3)
     for at, agreed in enumerate(orders):
         for line in agreed.lines:
-            rows = stated[channels.index(line.channel), :, at]
-            for rpm, value in zip(line.speed_rpm, half * line.amplitude**2, strict=True):
-                row = int(np.argmin(np.abs(speed - rpm)))
-                if abs(speed[row] - rpm) <= near_rpm:
-                    rows[row] = value if np.isnan(rows[row]) else max(value, rows[row])
+            away = np.abs(speed - line.speed_rpm[:, None])
+            row, near = away.argmin(axis=1), away.min(axis=1) <= near_rpm
+            np.fmax.at(stated[channels.index(line.channel), :, at], row[near], half * line.amplitude[near] ** 2)
     for at, tone in enumerate(modal.tones, start=len(orders)):
         for name, (amplitude, _) in tone.amplitude.items():
             stated[channels.index(name), :, at] = half * amplitude**2

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -13,7 +12,6 @@ from crankorder.cause import ELECTRIC, Cause, alike_speeds, electric
 from crankorder.engine.machine_parts import Motor
 from crankorder.findings import (
     SCHEMA_VERSION,
-    Balance,
     Channel,
     CrossingFinding,
     Findings,
@@ -24,11 +22,11 @@ from crankorder.findings import (
     quality_of,
 )
 from crankorder.findings import Motor as MotorRecord
-from crankorder.identify.balance.unbalance_fit import UnbalanceFit, unbalance_fit
-from crankorder.identify.bearings.records import bearing_records
-from crankorder.identify.causes.explain import Beside, Causes, explained, with_neighbours_named
-from crankorder.identify.causes.sidebands import swing_sidebands
+from crankorder.identify.balance.unbalance_fit import unbalance_fit
+from crankorder.identify.bearing_records import bearing_records
+from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
+from crankorder.identify.explain import Beside, Causes, explained, with_neighbours_named
 from crankorder.identify.found import (
     NO_FITS,
     AgreedOrder,
@@ -53,7 +51,7 @@ from crankorder.identify.lines.followed_orders import (
     with_followed,
     with_track_rows,
 )
-from crankorder.identify.lines.growth import Growth, growth, if_unbalance, reported, visible_range_rpm
+from crankorder.identify.lines.growth import growth, if_unbalance, reported, visible_range_rpm
 from crankorder.identify.lines.known_lines import LineSeen, held_of, without_known
 from crankorder.identify.lines.line_evidence import alias_flags, shown_aliases
 from crankorder.identify.lines.line_phasors import is_half_order, speed_source
@@ -64,8 +62,8 @@ from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_blocks import with_locks_through_modes
 from crankorder.identify.modes.responses import held_peak
 from crankorder.identify.modes.tones import with_tones_settled
-from crankorder.identify.speeds.crossings import crossings
-from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
+from crankorder.identify.sidebands import swing_sidebands
+from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.intervals import Z95, half_width, interval, positive_interval, size_interval
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure
@@ -125,15 +123,20 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
     causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, beside=beside)
     modal = with_neighbours_named(modal, in_map, causes)
 
-    tested, rate = _tested_rpm(order_map, campbell), _fastest_sweep(followed)
+    speed = np.concatenate([each["speed"].values for each in (order_map, campbell)])
+    speed = speed[np.isfinite(speed)]
+    tested = (float(speed.min()), float(speed.max())) if speed.size else (np.nan, np.nan)
+    rate = max((float(tracks.attrs.get("sweep_rpm_per_s", 0.0)) for tracks in followed), default=0.0)
     moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]
     met = crossings(moving, modal, speed_rpm=tested, settings=asked, stated=stated)
     speeds = speeds_to_avoid(met, moving, modal, speed_rpm=tested, unit=unit, settings=asked, sweep_rpm_per_s=rate)
     meetings = as_avoided(met, speeds.avoid)
     speeds = speeds if doubt is None else without_free(speeds)
 
-    fit = partial(unbalance_fit, order_map, orders, modal, followed=followed)
-    balance, reason = _balance(fit, order_map, sources, causes)
+    balance, reason = unbalance_fit(order_map, orders, modal, sources=sources, followed=followed)
+    if balance is not None:
+        balance, reason = if_unbalance(balance, causes.orders.values())
+    balance = graded(balance, sources, float(np.nanmax(order_map["speed"].values, initial=0.0)))
     energy, unexplained = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     of_channels = level_records(measured.levels)
     above = {level.channel: level.share_above for level in of_channels}
@@ -169,16 +172,6 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags),
     )
-
-
-def _balance(
-    fit: Callable[..., UnbalanceFit], order_map: xr.Dataset, sources: MachineModel, causes: Causes
-) -> tuple[Balance | None, str]:
-    """The residual unbalance by what ``fit`` makes of engine and paths, or why it is not known."""
-    balance, reason = fit(engine=sources.engine, paths=sources.paths, added=sources.added)
-    if balance is not None:
-        balance, reason = if_unbalance(balance, causes.orders.values())
-    return graded(balance, sources, float(np.nanmax(order_map["speed"].values, initial=0.0))), reason
 
 
 @dataclass(frozen=True)
@@ -223,18 +216,6 @@ def _lines(measured: Measured, doubt: str | None, motor: Motor | None, settings:
     longest = max((recording.span_rev for recording in held), default=np.inf)
     record = None if seen_motor is None else seen_motor.record
     return _Lines(in_map, orders, modal, known, record, doubt, longest)
-
-
-def _tested_rpm(order_map: xr.Dataset, campbell: xr.Dataset) -> tuple[float, float]:
-    """Slowest and fastest speed of the test; NaN where none is known."""
-    speed = np.concatenate([order_map["speed"].values, campbell["speed"].values])
-    known = speed[np.isfinite(speed)]
-    return (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
-
-
-def _fastest_sweep(followed: Sequence[xr.Dataset]) -> float:
-    """Rate [rpm/s] at which the fastest of ``followed`` (RecordingTracks) changes its speed; 0 where none sweeps."""
-    return max((float(tracks.attrs.get("sweep_rpm_per_s", 0.0)) for tracks in followed), default=0.0)
 
 
 def going_with_speed(orders: Sequence[AgreedOrder], causes: Causes) -> tuple[AgreedOrder, ...]:
@@ -330,8 +311,11 @@ def _order_record(
     law = growth(line)
     best = reported(line, law)
     phase = float(line.phase_deg[best.at])
-    held = held_peak(modal, agreed.order, line.channel, largest_rpm=best.speed_rpm)
-    held = None if held is not None and held.ends[1] < best.amplitude else held  # no sweep makes an order larger
+    held = held_peak(modal, agreed.order, line.channel, seen=best)
+    half = None if line.phase_ci95_deg is None else float(line.phase_ci95_deg[best.at])
+    if half is None:
+        spread = float(np.degrees(line.amplitude_error[best.at] / line.amplitude[best.at]))
+        half = half_width(float(line.degrees_of_freedom[best.at])) * spread
     doubts = (*agreed.doubts, *line.doubts)
     kinds = [doubt.kind for doubt in doubts] + ([] if cause.doubt is None else [cause.doubt])
     proven = agreed.lock == "locked" and line.evidence == "locked to the shaft"
@@ -342,6 +326,7 @@ def _order_record(
         line.remark,
     )
     met_hz = _met_hz(agreed.order, line.channel, best.speed_rpm, meetings)
+    no_law = law is not None and law.law == "follows no power law"
     return OrderFinding(
         channel=line.channel,
         order=agreed.order,
@@ -355,13 +340,14 @@ def _order_record(
         amplitude_held=None if held is None else held.amplitude,
         amplitude_held_ci95=None if held is None else held.ends,
         phase_deg=None if np.isnan(phase) else phase,
-        phase_deg_ci95=None if np.isnan(phase) else _phase_ends(line, best.at),
+        phase_deg_ci95=None if np.isnan(phase) else (phase - half, phase + half),
         unit=unit,
         speed_rpm_at_max=best.speed_rpm,
         speed_rpm_at_held=None if held is None else held.rpm,
         speed_exponent=None if law is None else law.exponent,
         speed_exponent_ci95=None if law is None else law.ci95,
-        speed_law=None if law is None else _law(law, met_hz),
+        # where the line follows no law, the mode that it meets is why
+        speed_law=None if law is None else "meets a mode" if no_law and met_hz is not None else law.law,
         meets_hz=met_hz,
         speed_range_rpm=visible_range_rpm(line),
         n_speeds=len(np.unique(line.seen)),
@@ -373,25 +359,10 @@ def _order_record(
     )
 
 
-def _phase_ends(line: OrderLine, at: int) -> Ends:
-    """95 % interval [deg] of the phase of ``line`` at the speed seen number ``at``: a turn where unknown."""
-    phase = float(line.phase_deg[at])
-    if line.phase_ci95_deg is None:
-        spread = float(np.degrees(line.amplitude_error[at] / line.amplitude[at]))
-        return interval(phase, spread, freedom=float(line.degrees_of_freedom[at]))
-    half = float(line.phase_ci95_deg[at])
-    return phase - half, phase + half
-
-
 def _once(*said: str) -> str:
     """Everything that is ``said``, part by part, each but once."""
     parts = [part for text in said for part in text.split("; ")]
     return "; ".join(dict.fromkeys(part for part in parts if part))
-
-
-def _law(law: Growth, met_hz: float | None) -> str:
-    """The law that the line follows; where it follows none, the mode that it meets is why."""
-    return "meets a mode" if met_hz is not None and law.law == "follows no power law" else law.law
 
 
 def _met_hz(order: float, channel: str, at_rpm: float, meetings: Sequence[CrossingFinding]) -> float | None:
@@ -460,7 +431,7 @@ def _tone_record(tone: Tone, cause: Cause) -> ModeFinding:
     channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda pair: pair[1][0] / max(pair[1][1], 1e-300))
     return ModeFinding(
         frequency_hz=tone.frequency_hz,
-        frequency_hz_ci95=_tone_ends(tone),
+        frequency_hz_ci95=tone.frequency_ends,
         damping_ratio=None,
         damping_ratio_ci95=None,
         channels=tuple(tone.amplitude),
@@ -473,11 +444,6 @@ def _tone_record(tone: Tone, cause: Cause) -> ModeFinding:
     )
 
 
-def _tone_ends(tone: Tone) -> Ends:
-    """95 % interval of the frequency of ``tone``."""
-    return positive_interval(tone.frequency_hz, Z95 * tone.frequency_error_hz)
-
-
 def line_records(
     orders: Sequence[OrderFinding], modal: ModalFit, causes: Causes, *, channels: list[str]
 ) -> tuple[LineFinding, ...]:
@@ -487,37 +453,33 @@ def line_records(
     """
     kept = ("channel", "order", "order_ci95", "explained_by", "causes", "amplitude", "amplitude_ci95")
     records = [LineFinding(**{key: getattr(record, key) for key in kept}) for record in orders]
-    for tone, cause in zip(modal.tones, causes.tones, strict=True):
-        sizes = {channel: (size, size_interval(size, Z95 * error)) for channel, (size, error) in tone.amplitude.items()}
-        records += _lines_at(tone.frequency_hz, _tone_ends(tone), cause, sizes)
-    for mode, cause in zip(modal.modes, causes.modes, strict=True):
-        levels = {channel: (_level_of(mode, channels.index(channel), modal), None) for channel in mode.channels}
-        records += _lines_at(mode.frequency_hz, mode.frequency_ends, cause, levels)
+    fixed: list[Tone | Mode] = [*modal.tones, *modal.modes]
+    for line, cause in zip(fixed, (*causes.tones, *causes.modes), strict=True):
+        for channel in line.amplitude if isinstance(line, Tone) else line.channels:
+            size, ends = _size_of(line, channel, channels.index(channel), modal)
+            record = LineFinding(
+                channel=channel,
+                frequency_hz=line.frequency_hz,
+                frequency_hz_ci95=line.frequency_ends,
+                explained_by=cause.text,
+                causes=cause.kinds,
+                amplitude=size,
+                amplitude_ci95=ends,
+            )
+            records.append(record)
     return tuple(records)
 
 
-def _lines_at(
-    hertz: float, ends: Ends, cause: Cause, sizes: Mapping[str, tuple[float | None, Ends | None]]
-) -> list[LineFinding]:
-    """Lines at a frequency with its interval ``ends`` and its ``cause``: amplitude and interval of it by channel."""
-    return [
-        LineFinding(
-            channel=channel,
-            frequency_hz=hertz,
-            frequency_hz_ci95=ends,
-            explained_by=cause.text,
-            causes=cause.kinds,
-            amplitude=amplitude,
-            amplitude_ci95=amplitude_ends,
-        )
-        for channel, (amplitude, amplitude_ends) in sizes.items()
-    ]
+def _size_of(line: Tone | Mode, channel: str, number: int, modal: ModalFit) -> tuple[float | None, Ends | None]:
+    """Amplitude of a tone in a ``channel`` (of that ``number`` in the map) with its interval.
 
-
-def _level_of(mode: Mode, channel: int, modal: ModalFit) -> float | None:
-    """Peak of a tone as strong as the floor of a ``channel`` (its number) within the half-power width of ``mode``."""
-    half = mode.damping_ratio * mode.frequency_hz
+    Of a mode it is that of a tone as strong as the floor within its half-power width, without interval.
+    """
+    if isinstance(line, Tone):
+        size, error = line.amplitude[channel]
+        return size, size_interval(size, Z95 * error)
+    mode, half = line, line.damping_ratio * line.frequency_hz
     near = np.abs(modal.frequency_hz - mode.frequency_hz) <= max(half, 1e-9)
-    psd = modal.floor_psd[channel, near] if modal.floor_psd.size else np.zeros(0)
+    psd = modal.floor_psd[number, near] if modal.floor_psd.size else np.zeros(0)
     seen = psd[np.isfinite(psd)]
-    return float(np.sqrt(2.0)) * float(np.sqrt(seen.mean() * 2.0 * half)) if seen.size else None
+    return float(np.sqrt(2.0)) * float(np.sqrt(seen.mean() * 2.0 * half)) if seen.size else None, None

@@ -72,20 +72,6 @@ class OrderLine:
     remark: str = ""
     n_independent: Floats | None = None
 
-    @classmethod
-    def steady(
-        cls, channel: str, number: tuple[float, float], rows: tuple[Ints, Floats, Floats, Floats], freedom: float
-    ) -> OrderLine:
-        """Line of a ``number`` (order and its standard error) in a ``channel`` that is steady and not locked.
-
-        ``rows``, (speeds,) each, are the positions seen, speeds, amplitudes and their standard errors, which have so
-        many degrees of ``freedom``; the line has no phases, and its level is that over the error.
-        """
-        seen, rpm, size, error = rows
-        level_db = float(20.0 * np.log10((size / np.maximum(error, 1e-300)).max()))
-        freedoms, phase = np.full(len(size), freedom), np.full(len(size), np.nan)
-        return cls(channel, *number, seen, rpm, size, error, freedoms, phase, "steady, not locked", level_db)
-
     @property
     def strongest(self) -> int:
         """Position, among the speeds seen, of the largest amplitude."""
@@ -256,6 +242,11 @@ class Tone:
     kind: ToneKind
     amplitude: dict[str, tuple[float, float]]
     evidence: str
+
+    @property
+    def frequency_ends(self) -> Ends:
+        """95 % interval of the frequency, Hz."""
+        return positive_interval(self.frequency_hz, Z95 * self.frequency_error_hz)
 
 
 @dataclass(frozen=True, eq=False)

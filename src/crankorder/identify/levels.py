@@ -34,9 +34,9 @@ def level_records(levels: Sequence[xr.Dataset]) -> tuple[Level, ...]:
     """
     rows, units = dict[str, list[Floats]](), dict[str, str]()
     for recording in levels:
-        table = np.stack([recording.variables[name].values for name in _LEVELS], axis=1)
-        table = np.column_stack([table, np.full(len(table), recording.attrs["band_hz"])])
         names, own = (recording.variables[name].values.tolist() for name in ("channel", "unit"))
+        columns = [recording.variables[name].values for name in _LEVELS]
+        table = np.column_stack([*columns, np.full(len(names), recording.attrs["band_hz"])])
         units = units or dict(zip(names, own, strict=True))
         for name, row in zip(names, table, strict=True):
             rows.setdefault(name, []).append(row)
@@ -134,13 +134,11 @@ def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Mach
         rows = [row for row in _rows(table, "broad band") if _is_for(table, row, limit)]
         verdicts += [_verdict(table, row, limit) for row in rows]
         unit, size = UNITS[limit.quantity]
-        missing = limit.channels or (() if rows else tuple(dict.fromkeys(names)))
+        judged = [names[row] for row in rows]
+        missing = [name for name in limit.channels or dict.fromkeys(names if not rows else ()) if name not in judged]
         untold = "no level could be told in that band: the recordings are too short, or sampled too slowly"
-        verdicts += [
-            _on(limit, limit.value_si / size, unit, channel=name, verdict="not decided", evidence=untold)
-            for name in missing
-            if name not in [names[row] for row in rows]
-        ]
+        seen = {"verdict": "not decided", "evidence": untold}
+        verdicts += [_on(limit, limit.value_si / size, unit, channel=name, **seen) for name in missing]
     return tuple(verdicts)
 
 
@@ -245,11 +243,11 @@ def graded(balance: Balance | None, sources: MachineModel, fastest_rpm: float) -
 def _grade_verdict(limit: Limit, balance: Balance | None) -> LimitVerdict:
     value, told = limit.value_si * 1e3, balance or Balance()
     level, ends = told.grade_mm_s, known(told.grade_mm_s_ci95)
-    verdict: Literal["within", "above", "not decided"] = "not decided"
-    evidence = "no rotating unbalance was worked out" if level is None else "its interval is not known"
-    if ends is not None:
-        verdict = "above" if ends[0] > value else "within" if ends[1] <= value else "not decided"
-        evidence = "the limit lies inside the interval" if verdict == "not decided" else "by the whole interval"
+    verdict, evidence = "not decided", "the limit lies inside the interval"
+    if ends is None:
+        evidence = "no rotating unbalance was worked out" if level is None else "its interval is not known"
+    elif ends[0] > value or ends[1] <= value:
+        verdict, evidence = "above" if ends[0] > value else "within", "by the whole interval"
     seen = {"level": level, "level_ci95": ends, "speed_rpm": told.grade_speed_rpm}
     return _on(limit, value, "mm/s", verdict=verdict, evidence=evidence, **seen)
 

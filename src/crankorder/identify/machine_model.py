@@ -17,7 +17,6 @@ from crankorder.errors import RequestError
 from crankorder.findings import OrderFinding, Quality
 from crankorder.identify.found import AgreedOrder
 from crankorder.orders.intervals import half_width
-from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -115,8 +114,7 @@ def parts_at(parts: Iterable[StatedPart], agreed: AgreedOrder) -> PartsAt:
     lie closer together than the intervals tell apart it is one of ``unparted``.
     """
     own = max(NUMBERS.same_sigmas, half_width(agreed.degrees_of_freedom)) * agreed.order_error
-    near: list[tuple[float, int, StatedPart, int]] = []
-    unparted = []
+    near, unparted = list[tuple[float, StatedPart, int]](), list[StatedPart]()
     for part in parts:
         multiple = max(1, round(agreed.order / part.order))
         reach = math.hypot(multiple * part.order_half, own) + 1e-9 * agreed.order
@@ -126,8 +124,9 @@ def parts_at(parts: Iterable[StatedPart], agreed: AgreedOrder) -> PartsAt:
         if 2.0 * reach > NUMBERS.by_chance_share * part.order:
             unparted.append(part)
         else:
-            near.append((away, len(near), part, multiple))
-    return PartsAt(tuple((part, multiple) for *_, part, multiple in sorted(near)), tuple(unparted))
+            near.append((away, part, multiple))
+    near.sort(key=lambda placed: placed[0])
+    return PartsAt(tuple((part, multiple) for _, part, multiple in near), tuple(unparted))
 
 
 FORCE_NUMBERS = MethodNumbers("5-identify-explain.toml", "cycle_forces")
@@ -189,25 +188,21 @@ def cycle_forces(engine: Engine, orders: Sequence[tuple[float, float]]) -> tuple
         _, gas = gas_torque_by_order(engine, highest)
     except RequestError:
         return (None,) * len(orders)
-    lever = engine.crank_radius_m + engine.rod_length_m
-    return tuple(_at(engine, order, rpm, np.abs(gas), highest, lever) for order, rpm in orders)
-
-
-def _at(engine: Engine, order: float, rpm: float, gas: Floats, highest: int, lever: float) -> CycleForce:
-    place, at = round(order * engine.revs_per_cycle), round(order)
-    whole = abs(order - at) < 1e-6
-    force = np.abs(crankcase_forces(engine, rpm, max_order=highest))[:, at].max() if whole else 0.0
-    torque = np.abs(crankcase_moments(engine, rpm, max_order=highest))[1, at] if whole else 0.0
-    return CycleForce(order, rpm, float(gas[place]), float(torque), float(force), lever)
+    lever, forces = engine.crank_radius_m + engine.rod_length_m, list[CycleForce]()
+    for order, rpm in orders:
+        at, force, torque = round(order), 0.0, 0.0
+        if abs(order - at) < 1e-6:
+            force = float(np.abs(crankcase_forces(engine, rpm, max_order=highest))[:, at].max())
+            torque = float(np.abs(crankcase_moments(engine, rpm, max_order=highest))[1, at])
+        peak = float(np.abs(gas[round(order * engine.revs_per_cycle)]))
+        forces.append(CycleForce(order, rpm, peak, torque, force, lever))
+    return tuple(forces)
 
 
 def gas_half_orders(orders: Iterable[float]) -> tuple[str, ...]:
     """Those of ``orders`` that are one of ``GAS_ORDERS``, in words."""
-    return tuple(
-        f"{order:.1f}"
-        for order in orders
-        if any(abs(order - known) < FORCE_NUMBERS.gas_reach_orders for known in GAS_ORDERS)
-    )
+    reach = FORCE_NUMBERS.gas_reach_orders
+    return tuple(f"{order:.1f}" for order in orders if any(abs(order - known) < reach for known in GAS_ORDERS))
 
 
 def cycle_doubts(
@@ -219,21 +214,15 @@ def cycle_doubts(
     does their lack, unless the ``engine`` has gas that makes half orders up to ``max_order`` as large as whole ones.
     """
     locked = sorted({record.order for record in orders if record.lock == "locked"})
+    half = gas_half_orders(locked) if two_stroke else _missing_half_orders(engine, locked, max_order)
+    if len(half) < 2:
+        return []
+    detail = f"the model's gas makes half orders ({', '.join(half)}) as large as whole ones, and none is seen: if it "
+    detail += 'is a two-stroke engine, state cycle = "two-stroke"; if it was motored, its gas makes no orders here'
     if two_stroke:
-        half = gas_half_orders(locked)
-        doubted = len(half) > 1
-        detail = (
-            f"half orders ({', '.join(half)}) are locked to the shaft, and a two-stroke engine's gas makes none: "
-            'if it is a four-stroke engine, state cycle = "four-stroke"; else something rubs or is loose'
-        )
-    else:
-        missing = _missing_half_orders(engine, locked, max_order)
-        doubted = bool(missing)
-        detail = (
-            f"the model's gas makes half orders ({', '.join(missing)}) as large as whole ones, and none is seen: if it "
-            'is a two-stroke engine, state cycle = "two-stroke"; if it was motored, its gas makes no orders here'
-        )
-    return [Quality(recording="all", flag="cycle_doubted", severity="suspect", detail=detail)] if doubted else []
+        detail = f"half orders ({', '.join(half)}) are locked to the shaft, and a two-stroke engine's gas makes none: "
+        detail += 'if it is a four-stroke engine, state cycle = "four-stroke"; else something rubs or is loose'
+    return [Quality(recording="all", flag="cycle_doubted", severity="suspect", detail=detail)]
 
 
 def _missing_half_orders(engine: Engine | None, locked: Sequence[float], max_order: float) -> tuple[str, ...]:
@@ -255,4 +244,4 @@ def _missing_half_orders(engine: Engine | None, locked: Sequence[float], max_ord
     if len(seen) < 2:
         return ()
     expected = [order for order in GAS_ORDERS if order <= max_order and gas[round(2 * order)] >= min(seen)]
-    return tuple(f"{order:g}" for order in expected) if len(expected) > 1 else ()
+    return tuple(f"{order:g}" for order in expected)

@@ -95,7 +95,12 @@ def measured_orders(
         for values in (complex_map, error_map, taken["degrees_of_freedom"].values.astype(np.float64))
     )
     sound = np.isfinite(amplitude) & np.isfinite(error) & (error > 0)
-    beside = [_beside(bins, i, lines) for i in at]
+    step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
+    clear = np.abs(bins[:, None] - np.array(lines, dtype=np.float64)) > (NUMBERS.nearest_bin - 0.5) * step
+    noise_alone = clear.all(axis=1) & (bins > NUMBERS.nearest_bin * step)
+    away = np.abs(np.arange(len(bins)) - np.array(at, dtype=np.int64)[:, None])
+    near_bins = (away >= NUMBERS.nearest_bin) & (away <= NUMBERS.furthest_bin) & noise_alone
+    beside = [np.flatnonzero(row) for row in near_bins]
     over = np.divide(complex_map, error_map, out=np.full_like(complex_map, np.nan), where=error_map > 0.0)
     correlation = [np.zeros((0, len(known), len(known))), *(_correlation(over[:, :, near]) for near in beside)]
     typical = [_geometric_mean(error_map[:, :, near]) for near in beside]
@@ -104,9 +109,7 @@ def measured_orders(
     steady, share = _steadier(np.where(sound, error, np.nan), around, freedom)
     speed_rpm = order_map["speed"].values.astype(np.float64)
     hertz = bins * speed_rpm[:, None] / 60.0
-    step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
-    away = np.abs(bins[:, None] - np.array(lines, dtype=np.float64)) > (NUMBERS.nearest_bin - 0.5) * step
-    quiet = np.broadcast_to(away.all(axis=1) & (bins > NUMBERS.nearest_bin * step), hertz.shape)  # noise alone
+    quiet = np.broadcast_to(noise_alone, hertz.shape)
     shape, n_bins = noise_shape(complex_map, frequency_hz=hertz, usable=quiet, at_hz=hertz[:, at].T.ravel())
     held = MeasuredOrders(
         channels=tuple(str(order_map["channel"].values[c]) for c in known),
@@ -175,14 +178,6 @@ def _joined(parts: Sequence[MeasuredOrders]) -> MeasuredOrders:
     axes |= dict.fromkeys(("amplitude", "error", "steady_error", "freedom", "own_share"), 1)
     rows: Any = {k: np.concatenate([getattr(part, k) for part in parts], axis=axis) for k, axis in axes.items()}
     return replace(parts[0], **rows)
-
-
-def _beside(bins: Floats, centre: int, lines: Sequence[float]) -> list[int]:
-    """Bins beside the bin ``centre`` in which noise alone stands."""
-    step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
-    away, clear = np.abs(np.arange(len(bins)) - centre), (NUMBERS.nearest_bin - 0.5) * step
-    near = (away >= NUMBERS.nearest_bin) & (away <= NUMBERS.furthest_bin) & (bins > NUMBERS.nearest_bin * step)
-    return [i for i in np.flatnonzero(near).tolist() if all(abs(bins[i] - line) > clear for line in lines)]
 
 
 def _covariance(shape: Complexes, error: Floats) -> Complexes:

@@ -17,8 +17,14 @@ from crankorder.engine.forces import Z
 from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Balance, Findings, Influence, TrialBalance
 from crankorder.identify.balance.known_forces import force_per_kg
-from crankorder.identify.balance.record import AGREE_CHI_SQUARE, NO_ANGLE, added_words, size_and_angle, with_interval
 from crankorder.identify.balance.transfer_path import PER_M_S2, MeasuredOrders, measured_orders
+from crankorder.identify.balance.unbalance_fit import (
+    AGREE_CHI_SQUARE,
+    NO_ANGLE,
+    added_words,
+    size_and_angle,
+    with_interval,
+)
 from crankorder.identify.changes.order_changes import OrderChange, welch
 from crankorder.orders.intervals import Z95, error_of, half_width, interval, size_interval
 from crankorder.quantities import Bools, Complexes, Floats

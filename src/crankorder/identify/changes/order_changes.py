@@ -14,7 +14,7 @@ from scipy.special import fdtrc, stdtr
 
 from crankorder.comparison import LineKind, Trend
 from crankorder.findings import Findings, OrderFinding
-from crankorder.identify.bearings.envelope_lines import Spectra, spectra_of
+from crankorder.identify.envelope_lines import Spectra, spectra_of
 from crankorder.orders.intervals import (
     LOCATED,
     WHOLE,

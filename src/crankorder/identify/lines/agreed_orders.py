@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -15,6 +15,7 @@ from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
 from crankorder.identify.lines.line_phasors import (
     NO_PULSES,
     SURE_FREEDOM,
+    Bin,
     Followed,
     Recording,
     any_swept,
@@ -39,7 +40,6 @@ from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.orders.intervals import excess_scatter, half_width
 from crankorder.orders.joint_lines import hann_lobe
 from crankorder.orders.true_angle import ERROR
-from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "agreed_orders")
@@ -165,8 +165,8 @@ def orders_agreed(
     if source == "stated":
         by_phase = [unnamed for unnamed in distinct if unnamed.number.by_phase]
         # the mains prove no speed, but with them and without them the others must
-        proofs = [by_phase, [unnamed for unnamed in by_phase if not _may_be_mains(unnamed, settings)]]
-        numbers = [[(u.number.order, u.number.error, u.number.degrees_of_freedom) for u in proof] for proof in proofs]
+        proofs = by_phase, [unnamed for unnamed in by_phase if not _may_be_mains(unnamed, settings)]
+        numbers = [[astuple(unnamed.number)[:3] for unnamed in proof] for proof in proofs]
         proven = all(proves_speed(proof, revs_per_cycle=test.revs_per_cycle) for proof in numbers)
         test = replace(test, speed_is_sure=proven)
     agreed = sorted((_named(unnamed, test) for unnamed in distinct), key=lambda named: named.order)
@@ -292,17 +292,12 @@ def _all_channels(group: list[OrderLine], test: _Test) -> list[OrderLine]:
 
 def _zooms(group: list[OrderLine], test: _Test, bin_order: float, expected: float) -> dict[int, Zoomed]:
     """The line of ``group`` in each recording that runs at speeds at which it is seen."""
-    names = test.order_map["channel"].values.tolist()
-    return zooms(
-        test.recordings,
-        channels=[names.index(line.channel) for line in group],
-        at=test.bin_near(bin_order),
-        speeds_rpm=np.unique(np.concatenate([line.speed_rpm for line in group])),
-        speed_bin_rpm=float(test.order_map.attrs.get("speed_bin_rpm", 25.0)),
-        near=expected - bin_order,
-        # what long frames of a sweep do not part is no pair: modes make short ones look like two
-        alone=stands_out(test.followed, near=expected, reach=np.inf) is not None,
-    )
+    names, width = test.order_map["channel"].values.tolist(), float(test.order_map.attrs.get("speed_bin_rpm", 25.0))
+    channels = [names.index(line.channel) for line in group]
+    place = Bin(channels, test.bin_near(bin_order), np.concatenate([line.speed_rpm for line in group]), width)
+    # what long frames of a sweep do not part is no pair: modes make short ones look like two
+    alone = stands_out(test.followed, near=expected, reach=np.inf) is not None
+    return zooms(test.recordings, place, near=expected - bin_order, alone=alone)
 
 
 def _joined(numbers: list[tuple[float, float, float]]) -> _Number:
@@ -314,26 +309,20 @@ def _joined(numbers: list[tuple[float, float, float]]) -> _Number:
     order, variance, freedom = (np.array(column) for column in zip(*numbers, strict=True))
     if len(order) == 1:
         return _Number(float(order[0]), float(np.sqrt(variance[0])), float(freedom[0]), True)
-    between = _between(order, variance)
-    weight = 1.0 / (variance + between)
-    mean, own = float(np.average(order, weights=weight)), float(1.0 / np.sqrt(weight.sum()))
-    if between == 0.0:
-        share = weight / weight.sum()
-        return _Number(mean, own, float(1.0 / np.sum(share**2 / freedom)), True)  # Welch and Satterthwaite
-    chi_square = float(weight @ (order - mean) ** 2)
-    error = float(np.sqrt(max(1.0, chi_square / (len(order) - 1)))) * own
-    return _Number(mean, error, float(len(order) - 1), True)
-
-
-def _between(order: Floats, variance: Floats) -> float:
-    """Variance between recordings beyond their own such that the weighted scatter is as large as expected."""
 
     def misfit(extra: float) -> float:
         weight = 1.0 / (variance + extra)
         return float(weight @ (order - np.average(order, weights=weight)) ** 2)
 
     most = float(np.ptp(order)) ** 2 * len(order) + 1e-30
-    return excess_scatter(misfit, len(order) - 1, most=most, within=1e-24)
+    between = excess_scatter(misfit, len(order) - 1, most=most, within=1e-24)
+    weight = 1.0 / (variance + between)
+    mean, own = float(np.average(order, weights=weight)), float(1.0 / np.sqrt(weight.sum()))
+    if between == 0.0:
+        share = weight / weight.sum()
+        return _Number(mean, own, float(1.0 / np.sum(share**2 / freedom)), True)  # Welch and Satterthwaite
+    error = float(np.sqrt(max(1.0, misfit(between) / (len(order) - 1)))) * own
+    return _Number(mean, error, float(len(order) - 1), True)
 
 
 def _named(unnamed: _Unnamed, test: _Test) -> AgreedOrder:
@@ -350,15 +339,15 @@ def _named(unnamed: _Unnamed, test: _Test) -> AgreedOrder:
     needed = None
     multiple = nearest_multiple(order, revs_per_cycle=test.revs_per_cycle)
     hidden = bool(number.swept) and stands_out(test.followed, near=order, reach=test.resolution) is False
-    if lock == "slips" and (hidden or not number.slips_from(multiple)):
+    if lock == "slips":
         lock = "undecided"
-        error = max(error, abs(order - multiple) / half_width(number.degrees_of_freedom))
-        doubts.append(IN_SWEEP)
-    if lock == "slips" and _may_be_a_pair(unnamed, abs(order - multiple), test):
-        lock = "undecided"
-        doubts.append(UNPARTED)
-    if lock == "slips" and any(UNRESOLVED in line.doubts for line in lines):
-        lock = "undecided"  # a resonance that passes has no order to slip from
+        if hidden or not number.slips_from(multiple):
+            error = max(error, abs(order - multiple) / half_width(number.degrees_of_freedom))
+            doubts.append(IN_SWEEP)
+        elif _may_be_a_pair(unnamed, abs(order - multiple), test):
+            doubts.append(UNPARTED)
+        elif not any(UNRESOLVED in line.doubts for line in lines):  # a resonance that passes slips from no order
+            lock = "slips"
     if lock == "locked":
         order = multiple
         # the interval holds the multiple, as the proof of the lock says
@@ -382,10 +371,10 @@ def _may_be_a_pair(unnamed: _Unnamed, off: float, test: _Test) -> bool:
     """
     if unnamed.number.parted_rev > 0.0 or not test.recordings:
         return False
-    span_rev = longest_rev(test.recordings)
+    span = longest_rev(test.recordings)
     if unnamed.number.swept:
-        return bool(off * longer_frames(float(test.recordings[0].revs), span_rev)[-1] < SWEPT_ORDERS.nearest_bins)
-    return SWELLS in unnamed.doubts and off * span_rev < NUMBERS.beats_of_a_pair
+        return bool(off * longer_frames(float(test.recordings[0].revs), span)[-1] < SWEPT_ORDERS.nearest_bins)
+    return SWELLS in unnamed.doubts and off * span < NUMBERS.beats_of_a_pair
 
 
 def unless_sidebands(
@@ -394,7 +383,7 @@ def unless_sidebands(
     """``orders``, undecided and of no number of their own where errors of the crank angle (in ``frames``) may have made
     them. A line of the shaft that most speeds of ``order_map`` show is none of these, whose orders move with the speed.
     """
-    checked = []
+    checked = list[AgreedOrder]()
     for order in orders:
         few = 2 * len({at for line in order.lines for at in line.seen.tolist()}) <= order_map.sizes["speed"]
         carrier = sideband_of(order.lines, order_map, frames) if few or order.lock != "locked" else None
@@ -416,15 +405,13 @@ def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | N
     frames = test.order_map["n_frames"].values
     revs = float(test.order_map.attrs["revs_per_frame"])
     hop = revs * (1.0 - float(test.order_map.attrs["overlap"]))
-    known = [
-        (float(error / amplitude), int(speed))
-        for line in lines
-        for error, amplitude, speed in zip(line.amplitude_error, line.amplitude, line.seen, strict=True)
-        if amplitude > 0.0 and np.isfinite(error)
-    ]
-    if not known:
+    error, amplitude, seen = (
+        np.concatenate([getattr(line, key) for line in lines]) for key in ("amplitude_error", "amplitude", "seen")
+    )
+    known = (amplitude > 0.0) & np.isfinite(error)
+    if not known.any():
         return None
-    relative_error, clearest = min(known)
+    relative_error, clearest = min(zip((error[known] / amplitude[known]).tolist(), seen[known].tolist(), strict=True))
     span = revs + (float(frames[clearest]) - 1.0) * hop
     needed = revs_to_decide(order, relative_error=relative_error, span_rev=span, revs_per_frame=revs)
     return needed if needed > longest_rev(test.recordings) else None
@@ -432,23 +419,22 @@ def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | N
 
 def _rebuilt(group: list[OrderLine], test: _Test, zoomed: dict[int, Zoomed], number: _Number) -> list[OrderLine]:
     """Lines of the channels of ``group`` with amplitudes of the one component ``zoomed`` in the recordings alone."""
-    speed, mean_rpm, seen = test.order_map["speed"].values, dict[int, float](), dict[int, Zoomed]()
-    for k, z in zoomed.items():  # of several recordings at a speed the slowest
-        own_rpm = float(np.mean(test.recordings[k].speed_rpm))
+    speed, seen = test.order_map["speed"].values, dict[int, tuple[float, Zoomed]]()
+    means = [(float(np.mean(test.recordings[k].speed_rpm)), k) for k in reversed(zoomed)]
+    for own_rpm, k in sorted(means, key=lambda mean: -mean[0]):  # of several recordings at a speed the slowest
         distance = np.abs(speed - own_rpm)
-        at = int(np.nanargmin(distance)) if np.isfinite(distance).any() else 0
-        if at not in seen or own_rpm < mean_rpm[at]:
-            mean_rpm[at], seen[at] = own_rpm, z
+        seen[int(np.nanargmin(distance)) if np.isfinite(distance).any() else 0] = own_rpm, zoomed[k]
     rows, lines = np.array(sorted(seen)), []
-    rpm, freedom, offset = np.array([(mean_rpm[at], seen[at].dof, seen[at].offset) for at in rows.tolist()]).T
+    of_rows = [seen[at] for at in rows.tolist()]
+    rpm, freedom, offset = np.array([(own_rpm, z.dof, z.offset) for own_rpm, z in of_rows]).T
     loss = hann_lobe(offset / test.resolution)
     for channel, line in enumerate(group):
-        amplitude = np.array([abs(seen[at].amplitude[channel]) for at in rows.tolist()]) / loss
-        error = np.array([seen[at].error[channel] for at in rows.tolist()]) / loss
+        amplitude = np.array([abs(z.amplitude[channel]) for _, z in of_rows]) / loss
+        error = np.array([z.error[channel] for _, z in of_rows]) / loss
         clear = amplitude > 3.0 * error
         if clear.any():
-            of_rows = rows[clear], rpm[clear], amplitude[clear], error[clear], freedom[clear]
-            lines.append(line.read_again((number.order, number.error), *of_rows))
+            size = amplitude[clear], error[clear], freedom[clear]
+            lines.append(line.read_again((number.order, number.error), rows[clear], rpm[clear], *size))
     return lines or group
 
 

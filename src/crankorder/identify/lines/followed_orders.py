@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -47,15 +46,15 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
     tell: that is told within the 99.9 % interval of the order, a multiple is but likely and lies within that of 95 %.
     A number that another of the orders has already is left to that; errors grow by what a number moves.
     """
-    tracks: list[Floats] = [sweep["order"].values for sweep in followed if sweep.attrs.get("swept", 0)]
-    if not tracks:
-        return tuple(orders)
+    tracks = [np.zeros(0), *(sweep["order"].values for sweep in followed if sweep.attrs.get("swept", 0))]
     numbers = np.unique(np.concatenate(tracks))
+    if not len(numbers):
+        return tuple(orders)
     found = np.array([agreed.order for agreed in orders])
     taken = [number for number in numbers if (np.abs(found - number) <= NUMBERS.same_order * number).any()]
     renumbered = []
     for agreed in orders:
-        number = float(numbers[np.abs(numbers - agreed.order).argmin()]) if len(numbers) else np.inf
+        number = float(numbers[np.abs(numbers - agreed.order).argmin()])
         off, sigmas = abs(number - agreed.order), half_width(agreed.degrees_of_freedom)
         reach = sigmas * agreed.order_error
         if not (2.0 * number).is_integer():
@@ -83,9 +82,11 @@ def with_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset],
         return tuple(orders)
     step = float(axis[1] - axis[0])
     for sweep in followed:
-        slow = _slow_lines(sweep, LOWEST_BINS * step)
-        for place in standing_out(sweep):
-            number = float(sweep["order"].values[place])
+        # within LOWEST_BINS of order 0, or of the one before that is: short frames hold these as one with the mean
+        places = standing_out(sweep)
+        numbers = [float(sweep["order"].values[place]) for place in places]
+        slow = places[: int(np.cumprod(np.diff(numbers, prepend=0.0) < LOWEST_BINS * step).sum())]
+        for place, number in zip(places, numbers, strict=True):
             beside = (abs(number - sweep["order"].values[other]) for other in slow if other != place)
             nearest = min(beside, default=step)
             apart = 0.5 * min(step, nearest) if place in slow else 0.5 * step
@@ -104,15 +105,6 @@ def with_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset],
                 doubts = (ONLY_FOLLOWED, IN_SWEEP)
                 known_orders.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, doubts))
     return tuple(sorted(known_orders, key=lambda agreed: agreed.order))
-
-
-def _slow_lines(sweep: xr.Dataset, width: float) -> list[int]:
-    """Places of the lines standing out in the tracks ``sweep`` that are within ``width`` orders of order 0, or of the
-    one before that is: frames that short hold them as one with the mean."""
-    places = standing_out(sweep)
-    numbers = [float(sweep["order"].values[place]) for place in places]
-    within = np.cumprod(np.diff(numbers, prepend=0.0) < width)
-    return [place for place, slow in zip(places, within, strict=True) if slow]
 
 
 def slow_flags(
@@ -148,13 +140,11 @@ def _lines_along(
 ) -> tuple[OrderLine, ...]:
     """Lines of the order at ``place`` of the tracks of a ``sweep``, in rows of the map, where it is ``clear``."""
     number, none = float(sweep["order"].values[place]), np.zeros(0)
-    stand_ins = []
-    for channel, name in enumerate(sweep["channel"].values.tolist()):
-        rows = np.flatnonzero(clear[channel])
-        if len(rows):
-            amplitude, noise = (sweep[key].values[channel, place, rows] for key in ("amplitude", "standard_error"))
-            level = 20.0 * np.log10(float((np.abs(amplitude) / noise).max()))
-            seen = np.zeros(0, dtype=np.int64)
+    stand_ins, seen = [], np.zeros(0, dtype=np.int64)
+    amplitude, noise = (sweep[key].values[:, place] for key in ("amplitude", "standard_error"))
+    for name, size, own, rows in zip(sweep["channel"].values.tolist(), np.abs(amplitude), noise, clear, strict=True):
+        if rows.any():
+            level = 20.0 * np.log10(float((size[rows] / own[rows]).max()))
             line = OrderLine(name, number, error, seen, none, none, none, none, none, "follows the speed", level)
             stand_ins.append(line)
     track = Followed(sweep, place, number, error**2, by_phase=False, course=None)
@@ -175,15 +165,11 @@ def with_track_rows(orders: Sequence[AgreedOrder], reader: TrackReader, *, setti
     cycle = int(reader.order_map.attrs["revs_per_cycle"])
     numbers = [track_number(known, revs_per_cycle=cycle) for known in orders]
     tracked = all_tracked(numbers, settings)
-    names = reader.order_map["channel"].values.tolist()
     followed = []
     for agreed, number in zip(orders, numbers, strict=True):
         others = [other for other in tracked if other != number]
-        rows, met = reader.rows(number, others), reader.met(number, others)
-        n_independent = reader.worth(number)
-        read = partial(_read, rows=rows, met=met, n_independent=n_independent, reader=reader)
-        lines = tuple(read(line, channel=names.index(line.channel)) for line in agreed.lines)
-        followed.append(replace(agreed, lines=lines, tracked=number))
+        of_track = reader.rows(number, others), reader.met(number, others), reader.worth(number), reader
+        followed.append(replace(agreed, lines=tuple(_read(line, *of_track) for line in agreed.lines), tracked=number))
     return tuple(followed)
 
 
@@ -205,21 +191,15 @@ def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
     return track_order(agreed.order, ends, agreed.lock, revs_per_cycle=revs_per_cycle)
 
 
-def _read(
-    line: OrderLine,
-    *,
-    channel: int,
-    rows: OrderRows,
-    met: Sequence[PartedRow],
-    n_independent: Floats,
-    reader: TrackReader,
-) -> OrderLine:
-    """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none.
+def _read(line: OrderLine, rows: OrderRows, met: Sequence[PartedRow], worth: Floats, reader: TrackReader) -> OrderLine:
+    """``line`` with what the ``rows`` of its track hold; as it was where they hold nothing, or it is none.
 
-    Rows that ``met`` lines of one frequency are no longer what the frames showed there.
+    Rows that ``met`` lines of one frequency are no longer what the frames showed there; ``worth`` (rows,) is how many
+    independent values each stands for.
     """
     if line.doubts == (UNRESOLVED,):
         return line
+    channel = reader.order_map["channel"].values.tolist().index(line.channel)
     amplitude, error = rows.amplitude[channel], rows.standard_error[channel]
     known = np.isfinite(amplitude) & np.isfinite(error) & (amplitude > 0.0)
     held = len(reader.map_rpm)
@@ -239,7 +219,7 @@ def _read(
         phase_deg=rows.phase[channel, at],
         ends=ends,
         phase_ci95_deg=rows.phase_ci95[channel, at],
-        n_independent=n_independent[at],
+        n_independent=worth[at],
     )
     apart = [row for row in met if row.matters[channel]]
     is_as_shown = (at < held) & ~np.isin(at, [row.row for row in apart])

@@ -147,20 +147,15 @@ def growth(line: OrderLine) -> Growth | None:
     exponent, exponent_error, excess = told.exponent, float(np.sqrt(told.exponent_variance)), told.scatter
     degrees_of_freedom = _degrees_of_freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
     few_deviate = bool(np.count_nonzero(~kept) <= NUMBERS.largest_deviating_share * len(x))
-    fits, near = few_deviate and told.chance >= NUMBERS.fit_chance, few_deviate and excess < NUMBERS.law_scatter
-    law = _law(exponent, half_width(degrees_of_freedom) * exponent_error, fits=fits, near=near)
+    fits, half = few_deviate and told.chance >= NUMBERS.fit_chance, half_width(degrees_of_freedom) * exponent_error
+    law: SpeedLaw = "follows no power law"
+    if abs(exponent) <= half or abs(exponent) + half <= NUMBERS.least_exponent:
+        if fits and abs(exponent) < NUMBERS.steady_exponent and half < NUMBERS.steady_precision:
+            law = "keeps its size"
+    elif fits or (few_deviate and excess < NUMBERS.law_scatter):
+        law = "grows with speed^n" if exponent > 0.0 else "falls with speed^n"
     away, level = tuple(speed[~kept].tolist()), float(np.exp(told.level - exponent * told.mean))
     return Growth(exponent, exponent_error, degrees_of_freedom, law, told.chance, excess, away, level, middle_rpm)
-
-
-def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
-    """Name of the growth law of an ``exponent`` known to ± ``half``; it ``fits`` exactly or is ``near`` it."""
-    if abs(exponent) <= half or abs(exponent) + half <= NUMBERS.least_exponent:
-        steady = fits and abs(exponent) < NUMBERS.steady_exponent and half < NUMBERS.steady_precision
-        return "keeps its size" if steady else "follows no power law"
-    if not fits and not near:
-        return "follows no power law"
-    return "grows with speed^n" if exponent > 0.0 else "falls with speed^n"
 
 
 def _degrees_of_freedom(error: Floats, excess: float, degrees_of_freedom: Floats) -> float:
@@ -322,10 +317,10 @@ def reported_within(line: OrderLine, low_rpm: float, high_rpm: float) -> Largest
     Where it is the largest of all speeds it is what is told of the line everywhere.
     """
     there = np.flatnonzero((line.speed_rpm >= low_rpm) & (line.speed_rpm <= high_rpm))
-    if largest(line).at in there:
-        return reported(line, growth(line))
     if not len(there):
         return None
+    if largest(line).at in there:
+        return reported(line, growth(line))
     at = int(there[np.argmax(line.amplitude[there])])
     low, high = (0.0, np.inf) if line.ends is None else map(float, line.ends[at])
     return Largest(at, float(line.speed_rpm[at]), float(line.amplitude[at]), low, high)
@@ -376,9 +371,8 @@ def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> Cause:
         slower = f"{grows}: it does not grow as unbalance does, {would}"
         return Cause("unexplained", slower, doubt="slower than unbalance")
     if high < lowest - ORDER_ONE_NUMBERS.little_slower_exponent:
-        return like(
-            f"{grows}, more slowly than unbalance, {would}, far from natural frequencies", doubt="unclear growth"
-        )
+        slower = f"{grows}, more slowly than unbalance, {would}, far from natural frequencies"
+        return like(slower, doubt="unclear growth")
     if grown.law == "follows no power law":
         return like(f"{grows}, and no power of the speed describes it", doubt="unclear growth")
     return Cause("unbalance", grows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 import xarray as xr
@@ -95,12 +96,10 @@ def sightings(held: HeldFrames, places: Sequence[Place]) -> list[Sighting | None
     inside = [k for k in np.argsort(orders, kind="stable").tolist() if held.reaches(orders[k], orders[k])]
     away = np.diff(orders[inside]) > 4.0 * LOBE_BINS / held.revs
     for group in np.split(np.array(inside, dtype=np.int64), np.flatnonzero(away) + 1) if inside else []:
-        heads: list[int] = []
-        head_of: dict[int, int] = {}
+        head_of = dict[int, int]()  # the first of those that are too close
         for k in group.tolist():
-            same = [h for h in heads if not held.parts(orders[k], orders[h])]
-            heads += [] if same else [k]
-            head_of[k] = same[0] if same else k
+            head_of[k] = next((h for h in head_of.values() if not held.parts(orders[k], orders[h])), k)
+        heads = list(dict.fromkeys(head_of.values()))
         own = [places[h] for h in heads]
         band = Band.about(held, float(orders[group].min()), float(orders[group].max()))
         if band is None:
@@ -135,19 +134,14 @@ def found_near(
     best = int(np.argmax(score))
     if score[best] <= 0.0 or best in (0, len(trial) - 1):
         return None  # at an end it is the flank of a line beyond
-    frequency = _summit(trial, score, best) * held.rpm / 60.0
+    left, middle, right = score[best - 1 : best + 2]
+    bend = left - 2.0 * middle + right  # of the parabola through the three
+    shift = np.clip(0.5 * (left - right) / bend, -0.5, 0.5) if bend < 0.0 else 0.0
+    frequency = float(trial[best] + shift * (trial[1] - trial[0])) * held.rpm / 60.0
     sighting = sightings(held, [Place(frequency), *(known or ())])[0]
     if sighting is None or not sighting.seen:
         return None
     return frequency, np.sqrt(6.0) / (np.pi * sighting.sigmas * float(np.ptp(held.time_s)))
-
-
-def _summit(trial: Floats, score: Floats, best: int) -> float:
-    """Top of the parabola through three points of ``score``."""
-    left, middle, right = score[best - 1 : best + 2]
-    bend = left - 2.0 * middle + right
-    shift = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
-    return float(trial[best] + np.clip(shift, -0.5, 0.5) * (trial[1] - trial[0]))
 
 
 def _shaft_orders(held: HeldFrames, orders: Floats, own: Sequence[Place]) -> list[Place]:
@@ -165,23 +159,21 @@ def named_by(seen: Sequence[LineSeen], agreed: AgreedOrder) -> LineSeen | None:
     Of several, which only lines of a large error have, the one whose amplitudes at the speeds are most like its own.
     """
     unlike: dict[tuple[str, int, float], list[tuple[float, LineSeen]]] = {}
+    rpm, sizes = agreed.speed_rpm, np.concatenate([np.zeros(0), *(line.amplitude for line in agreed.lines)])
     for known in seen:
-        size = _size_at(agreed, known.held.rpm)
-        if size is None or not _is_at(known, agreed) or not _goes_with(known, agreed):
+        turns, own_rpm, amplitude = known.line.turns, known.held.rpm, float(known.sighting.amplitude.max())
+        there = np.abs(rpm - own_rpm) <= NUMBERS.same_speed_share * own_rpm
+        if not there.any() or not _is_at(known, agreed):
             continue
-        away = abs(float(np.log(max(float(known.sighting.amplitude.max()), 1e-300) / max(size, 1e-300))))
-        unlike.setdefault((known.line.name, known.line.mains, known.line.turns), []).append((away, known))
+        # it stands at the order at most of the speeds at which that was seen: what is fixed leaves it
+        at = turns + (60.0 * known.hertz - turns * own_rpm) / np.unique(rpm)
+        if np.mean(np.abs(at - agreed.order) < NUMBERS.same_place_orders) > NUMBERS.most_share:
+            away = abs(float(np.log(max(amplitude, 1e-300) / max(float(sizes[there].max()), 1e-300))))
+            unlike.setdefault((known.line.name, known.line.mains, turns), []).append((away, known))
     if not unlike:
         return None
     best = min(unlike.values(), key=lambda sightings: float(np.mean([away for away, _ in sightings])))
     return max((known for _, known in best), key=lambda known: float(known.sighting.amplitude.max()))
-
-
-def _size_at(agreed: AgreedOrder, rpm: float) -> float | None:
-    """Largest amplitude of an order at the speed ``rpm``; None where it was not seen there."""
-    near = NUMBERS.same_speed_share * rpm
-    there = (line.amplitude[np.abs(line.speed_rpm - rpm) <= near] for line in agreed.lines)
-    return max((float(size) for sizes in there for size in sizes), default=None)
 
 
 def _is_at(known: LineSeen, agreed: AgreedOrder) -> bool:
@@ -193,14 +185,6 @@ def _is_at(known: LineSeen, agreed: AgreedOrder) -> bool:
     return bool(away <= max(half_width(agreed.degrees_of_freedom) * agreed.order_error, apart / known.held.span_rev))
 
 
-def _goes_with(known: LineSeen, agreed: AgreedOrder) -> bool:
-    """Whether ``known`` stands at the order at most of the speeds at which that was seen: what is fixed leaves it."""
-    fixed_hz = known.hertz - known.line.turns * known.held.rpm / 60.0
-    speeds = np.unique(np.concatenate([line.speed_rpm for line in agreed.lines]))
-    at = known.line.turns + 60.0 * fixed_hz / speeds
-    return bool(np.mean(np.abs(at - agreed.order) < NUMBERS.same_place_orders) > NUMBERS.most_share)
-
-
 def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
     """``modal`` without modes that are undecided and stand where one of the ``known`` lines does: these explain them.
 
@@ -208,12 +192,10 @@ def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
     """
     if modal.responses or not known:
         return modal
-    kept = [
-        number
-        for number, mode in enumerate(modal.modes)
-        for low, high in [(mode.frequency_ends[0] - NUMBERS.same_hz, mode.frequency_ends[1] + NUMBERS.same_hz)]
-        if not mode.undecided or not any(low <= seen.hertz <= high for seen in known)
-    ]
-    at = np.array([[2 * number, 2 * number + 1] for number in kept], dtype=np.int64).ravel()
-    covariance = modal.covariance[np.ix_(at, at)] if len(kept) < len(modal.modes) else modal.covariance
-    return replace(modal, modes=tuple(modal.modes[number] for number in kept), covariance=covariance)
+    hertz = np.array([seen.hertz for seen in known])
+    ends = np.array([mode.frequency_ends for mode in modal.modes]).reshape(-1, 2, 1)
+    near = ((hertz >= ends[:, 0] - NUMBERS.same_hz) & (hertz <= ends[:, 1] + NUMBERS.same_hz)).any(axis=1)
+    kept = [not (mode.undecided and there) for mode, there in zip(modal.modes, near.tolist(), strict=True)]
+    at = np.repeat(kept, 2)
+    covariance = modal.covariance if all(kept) else modal.covariance[np.ix_(at, at)]
+    return replace(modal, modes=tuple(compress(modal.modes, kept)), covariance=covariance)

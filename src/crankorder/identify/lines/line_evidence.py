@@ -55,13 +55,12 @@ def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orde
     axis = order_map["order"].values
     energy = order_map["amplitude"].values ** 2
     n_independent = order_map["n_independent"].values.astype(np.float64)
-    bins = reference_bins(
-        axis,
-        line_step=1.0 / int(order_map.attrs["revs_per_cycle"]),
-        guard_bins=orders.guard_bins,
-        n_bins=orders.floor_bins,
-    )
-    log_chance = _log_chance_of_phase(order_map)
+    cycle = int(order_map.attrs["revs_per_cycle"])
+    bins = reference_bins(axis, line_step=1.0 / cycle, guard_bins=orders.guard_bins, n_bins=orders.floor_bins)
+    log_chance = np.zeros(energy.shape)
+    if "coherent_amplitude" in order_map:  # 0 where a bin beside agrees better in phase
+        highest = highest_of_three(order_map["coherent_amplitude"].values ** 2)
+        log_chance = np.where(highest, _log_chance_of_coherence(order_map, ...), 0.0)
     by_phase = log_chance < np.log(CFAR_NUMBERS.by_phase_chance)
     floor, narrowed = noise_floor(energy, bins, n_averages=n_independent, level=by_phase)
     wide, near = independent_bins(bins), independent_bins(_nearest(bins))
@@ -74,7 +73,6 @@ def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orde
     if len(n_independent) == 1:
         # two lines that nearly cancel, or one in noise that is loud at low frequencies, hide in the energy of a bin:
         # on the cycle's orders the phase tells them where noise of the whole map would agree as well so seldom
-        cycle = int(order_map.attrs["revs_per_cycle"])
         on_cycle = np.abs(axis * cycle - np.rint(axis * cycle)) < 1e-6
         alone = np.maximum(log_chance / np.log(chance / log_chance.size), 0.0)
         excess = np.maximum(excess, np.where(on_cycle, alone, 0.0))
@@ -147,15 +145,12 @@ def noise_floor(power: Floats, bins: Ints, *, n_averages: Floats, level: Bools |
 def noise_level(n: float, bins: float, chance: float) -> float:
     """Energy over its floor that noise exceeds with ``chance``: mean of ``n`` spectra, floor of so many ``bins``."""
     low = np.log(gammainccinv(n, chance) / n)
-    high, wanted = low + 1.0, np.log(chance)
+    high = low + 1.0
     while noise_chance(np.exp(high), n, bins) > chance:
         low, high = high, high + 1.0
     for _ in range(20):
         middle = 0.5 * (low + high)
-        if np.log(max(float(noise_chance(np.exp(middle), n, bins)), 1e-300)) > wanted:
-            low = middle
-        else:
-            high = middle
+        low, high = (middle, high) if noise_chance(np.exp(middle), n, bins) > chance else (low, middle)
     return float(np.exp(0.5 * (low + high)))
 
 
@@ -188,15 +183,6 @@ def highest_of_three(energy: Floats) -> Bools:
     return highest
 
 
-def _log_chance_of_phase(order_map: xr.Dataset) -> Floats:
-    """Logarithm of the chance that frames of noise agree in phase as well as each bin's do; 0 where a bin beside does
-    better, and in a map without phases."""
-    if "coherent_amplitude" not in order_map:
-        return np.zeros(order_map["amplitude"].shape)
-    highest = highest_of_three(order_map["coherent_amplitude"].values ** 2)
-    return np.where(highest, _log_chance_of_coherence(order_map, ...), 0.0)
-
-
 def _log_chance_of_coherence(order_map: xr.Dataset, at: Any) -> Floats:
     """Logarithm of the chance that frames of noise agree in phase as well as those of the cells ``at`` do.
 
@@ -227,7 +213,8 @@ def evidence_of(
     line's bin, ``seen`` the speeds at which it stands above the level; noise agrees in phase as well as a line that is
     called locked with ``false_alarm_probability``.
     """
-    if _is_locked(order_map, channel, peak, seen, false_alarm_probability):
+    # a resonance excited by noise may stand out as far as a line does, but its phase wanders
+    if _are_seldom(_log_chance_of_coherence(order_map, (channel, seen, peak)), false_alarm_probability):
         return "locked to the shaft"
     if has_moved(order_map, peak, seen) and is_steady(order_map, channel, peak, seen, false_alarm_probability):
         return "steady, not locked"
@@ -267,14 +254,6 @@ def _follows(order_map: xr.Dataset, ratio: Floats, peak: int, seen: Ints) -> boo
     independent = frames * min(1.0, 2.0 * (1.0 - float(order_map.attrs["overlap"])))
     scatter = np.pi / np.sqrt(6.0 * independent)
     return bool(height[peak] - height[beside].mean() > NUMBERS.followed_sigmas * scatter)
-
-
-def _is_locked(order_map: xr.Dataset, channel: int, peak: int, seen: Ints, false_alarm_probability: float) -> bool:
-    """Whether the frames agree in phase as noise would only with ``false_alarm_probability``.
-
-    A resonance excited by noise may stand out as far as a line does, but its phase wanders.
-    """
-    return _are_seldom(_log_chance_of_coherence(order_map, (channel, seen, peak)), false_alarm_probability)
 
 
 def _are_seldom(log_chances: Floats | Sequence[float], false_alarm_probability: float) -> bool:
@@ -373,9 +352,9 @@ TRIALS_PER_SPAN = 8
 
 def keeps_its_phase(
     recordings: Sequence[tuple[Complexes, Floats, float]],
-    *,
     order: float,
     independent_share: float,
+    *,
     slips: bool,
     false_alarm_probability: float,
 ) -> bool:
@@ -504,9 +483,8 @@ def shown_aliases(order_map: xr.Dataset, *, settings: Settings) -> tuple[ShownAl
         highest_hz=settings.identify.fold_search_hz,
         frequencies_hz=[line.frequency_hz for line in _aliased_mains(order_map, samples_per_rev, settings)],
     )
-    return tuple(
-        ShownAlias(fold, speed[at_speed][fold.points], axis[at_order][fold.points], order_error) for fold in folds
-    )
+    speed, order = speed[at_speed], axis[at_order]
+    return tuple(ShownAlias(fold, speed[fold.points], order[fold.points], order_error) for fold in folds)
 
 
 def alias_flags(order_map: xr.Dataset, *, settings: Settings, folds: tuple[ShownAlias, ...]) -> list[QualityFlag]:
@@ -528,9 +506,7 @@ def alias_flags(order_map: xr.Dataset, *, settings: Settings, folds: tuple[Shown
     )
     text = "; mains, ".join([said, *map(str, mains)])
     remarks = [("lines_may_fold", "info", text), *(shown.fold.remark for shown in folds)]
-    return [
-        {"recording": "all", "flag": flag, "severity": severity, "detail": detail} for flag, severity, detail in remarks
-    ]
+    return [{"recording": "all", "flag": flag, "severity": kind, "detail": text} for flag, kind, text in remarks]
 
 
 def _samples_per_rev(order_map: xr.Dataset) -> float | None:

@@ -145,6 +145,11 @@ class Recording:
     revs: float
     hop_rev: float
 
+    @property
+    def span_rev(self) -> float:
+        """Revolutions that its frames cover; 0 without frames."""
+        return float(np.ptp(self.centre_rev)) + self.revs if len(self.centre_rev) else 0.0
+
 
 def any_swept(recordings: Sequence[Recording]) -> bool:
     """Whether the speed of any of ``recordings`` is that of a run-up or coast-down."""
@@ -153,10 +158,7 @@ def any_swept(recordings: Sequence[Recording]) -> bool:
 
 def longest_rev(recordings: Sequence[Recording]) -> float:
     """Revolutions of the longest of ``recordings``; 0 where there is none."""
-    spans = [
-        float(np.ptp(recording.centre_rev)) + recording.revs for recording in recordings if len(recording.centre_rev)
-    ]
-    return max(spans, default=0.0)
+    return max((recording.span_rev for recording in recordings), default=0.0)
 
 
 def recordings_of(frames: Sequence[xr.Dataset]) -> list[Recording]:
@@ -173,16 +175,28 @@ def recordings_of(frames: Sequence[xr.Dataset]) -> list[Recording]:
 Phasors = tuple[Recording, Complexes, Floats, Floats]
 
 
-def phasors_at(
-    recordings: Sequence[Recording], *, channels: list[int], at: int, speeds_rpm: Floats, speed_bin_rpm: float
-) -> dict[int, Phasors]:
-    """Of each of ``recordings`` itself, the phasors (channels, frames) in the bin ``at``, the frames' middles, speeds.
+@dataclass(frozen=True, eq=False)
+class Bin:
+    """The bin ``at`` of some ``channels`` (numbers), from the least to the largest of ``speeds_rpm``.
 
-    Frames of ``channels`` count whose speed is between the least and the largest of ``speeds_rpm``, give or take
-    ``speed_bin_rpm``, and that are whole in all channels; recordings with fewer than two are left out.
+    Give or take ``speed_bin_rpm``.
+    """
+
+    channels: list[int]
+    at: int
+    speeds_rpm: Floats
+    speed_bin_rpm: float
+
+
+def phasors_at(recordings: Sequence[Recording], place: Bin) -> dict[int, Phasors]:
+    """Of each of ``recordings`` itself, the phasors (channels, frames) in the bin ``place``, frames' middles, speeds.
+
+    Frames count whose speed is that of the bin and that are whole in all channels; recordings with fewer than two are
+    left out.
     """
     picked: dict[int, Phasors] = {}
-    low, high = float(np.min(speeds_rpm)) - speed_bin_rpm, float(np.max(speeds_rpm)) + speed_bin_rpm
+    channels, at = place.channels, place.at
+    low, high = np.min(place.speeds_rpm) - place.speed_bin_rpm, np.max(place.speeds_rpm) + place.speed_bin_rpm
     for number, recording in enumerate(recordings):
         speed = recording.speed_rpm
         known = np.isfinite(low) and bool(np.isfinite(speed).all())
@@ -196,34 +210,23 @@ def phasors_at(
     return picked
 
 
-def zooms(
-    recordings: Sequence[Recording],
-    *,
-    channels: list[int],
-    at: int,
-    speeds_rpm: Floats,
-    speed_bin_rpm: float,
-    near: float,
-    alone: bool = False,
-) -> dict[int, Zoomed]:
-    """The line in the bin ``at`` of the ``channels`` in each of ``recordings`` that shows it, by its number.
+def zooms(recordings: Sequence[Recording], place: Bin, *, near: float, alone: bool = False) -> dict[int, Zoomed]:
+    """The line in the bin ``place`` in each of ``recordings`` that shows it, by its number.
 
-    ``speeds_rpm`` and ``speed_bin_rpm`` pick frames as in :func:`phasors_at`; ``near`` is the distance from the bin, in
-    orders, that is expected; where ``alone`` no second line is looked for.
+    ``near`` is the distance from the bin, in orders, that is expected; where ``alone`` no second line is looked for.
     """
-    picked = phasors_at(recordings, channels=channels, at=at, speeds_rpm=speeds_rpm, speed_bin_rpm=speed_bin_rpm)
     lines: dict[int, Zoomed] = {}
-    for number, (recording, phasors, centre, speed) in picked.items():
+    for number, (recording, phasors, centre, speed) in phasors_at(recordings, place).items():
         swept = is_swept(speed)
         frames = Frames(centre, recording.revs, recording.hop_rev, swept, _drift(centre, speed))
-        noise = _noise_beside(recording, channels, at, centre) if swept else None
+        noise = _noise_beside(recording, place, centre) if swept else None
         line = zoomed(phasors, frames, noise=noise, near=near, alone=alone)
         if line is not None:
-            lines[number] = _solved_together(line, recording, channels, at, centre)
+            lines[number] = _solved_together(line, recording, place, centre)
     return lines
 
 
-def _solved_together(line: Zoomed, recording: Recording, channels: list[int], at: int, centre_rev: Floats) -> Zoomed:
+def _solved_together(line: Zoomed, recording: Recording, place: Bin, centre_rev: Floats) -> Zoomed:
     """``line`` with its second one as the least squares of both say; as they are where these do not settle apart.
 
     From frame to frame the phase of a line tells its order but for multiples of the reciprocal hop; of these the second
@@ -233,9 +236,9 @@ def _solved_together(line: Zoomed, recording: Recording, channels: list[int], at
     if second is None or line.swept:
         return line
     kept = np.isin(recording.centre_rev, centre_rev)
-    frames = recording.spectrum[channels][:, kept], recording.centre_rev[kept]
+    frames = recording.spectrum[place.channels][:, kept], recording.centre_rev[kept]
     speed = np.nan_to_num(recording.speed_rpm[kept], nan=60.0)
-    order, revs = at / recording.revs, recording.revs
+    order, revs = place.at / recording.revs, recording.revs
     band = Band.about(HeldFrames.of(*frames, speed, revs=revs), order, order)
     if band is None:
         return line
@@ -250,16 +253,15 @@ def _solved_together(line: Zoomed, recording: Recording, channels: list[int], at
 
     def solved(number: int, started: Zoomed) -> Zoomed:
         sighting = pair.sighting(number)
-        offset = sighting.order - order
+        offset, variance = sighting.order - order, sighting.order_error**2 + drift
         loss = float(hann_lobe(np.array(offset * revs)))
-        snr = min(sighting.sigmas**2, 1e24)
-        size, error = loss * sighting.phasor, abs(loss) * sighting.error
-        started = replace(started, amplitude=size, error=error, snr=snr, dof=sighting.degrees_of_freedom)
-        return replace(started, offset=offset, variance=sighting.order_error**2 + drift)
+        size, error, snr = loss * sighting.phasor, abs(loss) * sighting.error, min(sighting.sigmas**2, 1e24)
+        started = replace(started, offset=offset, variance=variance, dof=sighting.degrees_of_freedom)
+        return replace(started, amplitude=size, error=error, snr=snr)
 
     # of what one bin holds of noise, two phasors and two numbers took three parts
     parts = HANN_ENBW * band.held.span_rev / revs
-    left = np.square(np.abs(band.spectra(pair.left)[:, band.bins == at])).mean(axis=(0, 1)) * np.square(band.unit)
+    left = np.square(np.abs(band.spectra(pair.left)[:, band.bins == place.at])).mean(axis=(0, 1)) * np.square(band.unit)
     left *= parts / max(parts - 3.0, 1.0)
     return replace(solved(0, line), second=solved(1, second), left=left)
 
@@ -278,14 +280,13 @@ def _drift(centre_rev: Floats, speed_rpm: Floats) -> float:
     return abs(slope) * float(np.ptp(centre_rev))
 
 
-def _noise_beside(recording: Recording, channels: list[int], at: int, centre_rev: Floats) -> Floats:
-    """Noise power (channels, frames) from the bins on both sides of ``at`` beyond its lobe."""
+def _noise_beside(recording: Recording, place: Bin, centre_rev: Floats) -> Floats:
+    """Noise power (channels, frames) from the bins on both sides of that at ``place`` beyond its lobe."""
     spectrum = recording.spectrum
-    first, last = NUMBERS.noise_bins
-    beside = [*range(at - last, at - first + 1), *range(at + first, at + last + 1)]
-    bins = [k for k in beside if 1 < k < spectrum.shape[2]]
+    (first, last), away = NUMBERS.noise_bins, np.abs(np.arange(spectrum.shape[2]) - place.at)
+    bins = np.flatnonzero((away >= first) & (away <= last))
     frames = np.flatnonzero(np.isin(recording.centre_rev, centre_rev))
-    power = np.square(np.abs(spectrum[np.ix_(np.array(channels), frames, np.array(bins))].astype(np.complex128)))
+    power = np.square(np.abs(spectrum[np.ix_(np.array(place.channels), frames, bins[bins > 1])].astype(np.complex128)))
     median = np.nanmedian(np.where(np.isfinite(power), power, np.nan), axis=2) / np.log(2.0)
     return np.asarray(np.nan_to_num(median))
 
@@ -336,15 +337,13 @@ def parted_lines(followed: Sequence[xr.Dataset], *, near: float, reach: float) -
     most = max((len(group) for _, group in groups), default=0)
     if most < 2:
         return []
-    parted: list[list[Followed]] = [[] for _ in range(most)]
+    parted = []
     for tracks, group in groups:
-        if len(group) != most:
-            continue
-        numbers = tracks["order"].values[group]
-        for lines, place in zip(parted, group, strict=True):
-            apart = np.abs(numbers - tracks["order"].values[place])
-            lines.append(_read(tracks, place, float(apart[apart > 0.0].min())))
-    return parted
+        if len(group) == most:
+            apart = np.diff(tracks["order"].values[group], prepend=-np.inf, append=np.inf)
+            nearest = np.minimum(apart[1:], apart[:-1]).tolist()
+            parted.append([_read(tracks, place, away) for place, away in zip(group, nearest, strict=True)])
+    return [list(lines) for lines in zip(*parted, strict=True)]
 
 
 def stands_out(followed: Sequence[xr.Dataset], *, near: float, reach: float) -> bool | None:
@@ -378,30 +377,23 @@ def _chain(tracks: xr.Dataset, near: float, reach: float) -> list[int]:
 
 def _read(tracks: xr.Dataset, place: int, nearest: float) -> Followed:
     """The order number ``place`` of ``tracks``, which is ``nearest`` orders from the next line."""
-    order, course = float(tracks["order"].values[place]), _course(tracks, place)
-    unread = (PARTED_NUMBERS.unread_share * nearest) ** 2
-    if course is None:
-        return Followed(tracks, place, order, unread, by_phase=False, course=None)
-    span = float(np.ptp(tracks["crank_angle"].values))
-    bandwidth = float(np.median(tracks["bandwidth_hz"].values[place] * 60.0 / tracks["speed"].values))
-    variance = (course.half / ZOOM.sure_sigmas) ** 2
-    if bandwidth * span < ZOOM.stretches:
-        variance, course = variance + (ZOOM.swept_turns_rev / span) ** 2, replace(course, slopes=np.zeros(0))
-    if variance > unread:
-        return Followed(tracks, place, order, unread, by_phase=False, course=None)
-    witness = course if len(course.slopes) else None
-    return Followed(tracks, place, order + course.offset, variance, by_phase=True, course=witness)
-
-
-def _course(tracks: xr.Dataset, place: int) -> Course | None:
-    """How the phase of the order number ``place`` of ``tracks`` runs from that number."""
+    order, angle = float(tracks["order"].values[place]), tracks["crank_angle"].values
     values = tracks["amplitude"].values[:, place]
     noise = 2.0 * np.square(tracks["standard_error"].values[:, place])
     seen = np.isfinite(values) & np.isfinite(noise)
     channels = seen.any(axis=1)
     rows = channels.any() & seen[channels].all(axis=0)
     kept = np.ix_(channels, rows)
-    return course_of(values[kept], tracks["crank_angle"].values[rows], noise[kept])
+    course = course_of(values[kept], angle[rows], noise[kept])
+    unread, span = (PARTED_NUMBERS.unread_share * nearest) ** 2, float(np.ptp(angle))
+    bandwidth = float(np.median(tracks["bandwidth_hz"].values[place] * 60.0 / tracks["speed"].values))
+    remembers = bandwidth * span < ZOOM.stretches
+    variance = np.inf if course is None else (course.half / ZOOM.sure_sigmas) ** 2
+    variance += (ZOOM.swept_turns_rev / span) ** 2 if remembers else 0.0
+    if course is None or variance > unread:
+        return Followed(tracks, place, order, unread, by_phase=False, course=None)
+    witness = None if remembers or not len(course.slopes) else course
+    return Followed(tracks, place, order + course.offset, variance, by_phase=True, course=witness)
 
 
 def lines_of(
@@ -414,9 +406,13 @@ def lines_of(
     """
     shown = []
     for line in lines:
-        rows = [_rows(track, line.channel) for track in followed]
-        speed, size, error, degrees_of_freedom = (np.concatenate(column) for column in zip(*rows, strict=True))
-        clear = np.flatnonzero(size > PARTED_NUMBERS.clear_sigmas * error)
+        tracks = [track.tracks.isel(order=track.place).sel(channel=line.channel) for track in followed]
+        speed, size, error, degrees_of_freedom = (
+            np.concatenate([track[name].values for track in tracks])
+            for name in ("speed", "amplitude", "standard_error", "degrees_of_freedom")
+        )
+        size, degrees_of_freedom = np.abs(size), degrees_of_freedom.astype(np.float64)
+        clear = np.flatnonzero(np.isfinite(size) & np.isfinite(error) & (size > PARTED_NUMBERS.clear_sigmas * error))
         if not len(clear):
             continue
         apart = np.abs(speed_rpm[:, None] - speed[clear])
@@ -426,12 +422,3 @@ def lines_of(
         read = line.read_again((order, order_error), at, speed[row], size[row], error[row], degrees_of_freedom[row])
         shown.append(replace(read, evidence="follows the speed"))
     return shown
-
-
-def _rows(followed: Followed, channel: str) -> tuple[Floats, Floats, Floats, Floats]:
-    """Speeds, amplitudes, errors and degrees of freedom of the rows of ``followed`` that know the ``channel``."""
-    tracks = followed.tracks.isel(order=followed.place).sel(channel=channel)
-    size, error = np.abs(tracks["amplitude"].values), tracks["standard_error"].values
-    known = np.isfinite(size) & np.isfinite(error)
-    degrees_of_freedom = tracks["degrees_of_freedom"].values.astype(np.float64)
-    return tracks["speed"].values[known], size[known], error[known], degrees_of_freedom[known]

@@ -21,7 +21,7 @@ from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
 from crankorder.orders.intervals import Z95, positive_interval, size_interval
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
-from crankorder.orders.joint_lines import HeldFrames, Place, Sighting
+from crankorder.orders.joint_lines import HeldFrames, Place
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -69,14 +69,12 @@ def supply_told(places_hz: Sequence[tuple[float, float]], *, settings: IdentifyS
     That of which alone some of them are multiples; of two that of which the first or the second multiple is there. None
     where none or both are told. ``settings``: the mains frequencies and how far they wander.
     """
-    is_low: dict[float, bool] = {}
-    for hertz, error in places_hz:
-        near = multiples_near(hertz, error, settings=settings)
-        if len({mains for _, mains in near}) == 1:
-            multiple, mains = near[0]
-            is_low[mains] = is_low.get(mains, False) or multiple <= NUMBERS.alone_multiples
-    chosen = [mains for mains, low in is_low.items() if low] if len(is_low) > 1 else list(is_low)
-    return chosen[0] if len(chosen) == 1 else None
+    near = [multiples_near(hertz, error, settings=settings) for hertz, error in places_hz]
+    certain = [of_line[0] for of_line in near if len(of_line) == 1]
+    supplies = {mains for _, mains in certain}
+    if len(supplies) > 1:
+        supplies = {mains for multiple, mains in certain if multiple <= NUMBERS.alone_multiples}
+    return supplies.pop() if len(supplies) == 1 else None
 
 
 @dataclass(frozen=True)
@@ -110,12 +108,9 @@ def mains_orders(
     if not places:
         return {}
     names, fixed = list(places), [agreed for agreed in orders if agreed.order in places]
-    lines = _Fixed(
-        np.array([places[order][0] for order in names]),
-        np.array([places[order][1] for order in names]),
-        [set(agreed.speed_rpm.tolist()) for agreed in fixed],
-        np.array([order in exact for order in names]),
-    )
+    hertz, error_hz = np.array(list(places.values())).T
+    speeds = [set(agreed.speed_rpm.tolist()) for agreed in fixed]
+    lines = _Fixed(hertz, error_hz, speeds, np.array([order in exact for order in names]))
     tones_hz = [tone.frequency_hz for tone in tones]
     hits = {hertz: hit for hertz in settings.mains_hz if (hit := _hits(lines, hertz, tones_hz, settings)).any()}
     sure = [hertz for hertz, hit in hits.items() if (hit & ~lines.exact).any()]
@@ -234,14 +229,11 @@ def _one_frequency(
     if not shown:
         return places
     least = np.min([sighting.amplitude - Z95 * sighting.error for sighting in shown], axis=0)
-    absent = sum(line is None and _excludes(recording, middle, least) for recording, line in lines)
+    place, absent = Place(middle), 0
+    for recording in (recording for recording, line in lines if line is None):
+        there = None if recording.is_half(recording.order_of(place)) else sightings(recording, [place])[0]
+        absent += there is not None and bool(np.any(there.amplitude + JOINT_LINES.seen_sigmas * there.error < least))
     return places if absent < len(places) else []
-
-
-def _excludes(held: HeldFrames, hertz: float, least: Floats) -> bool:
-    """Whether ``held`` would show a line at ``hertz`` of the amplitudes ``least`` (channels,), and does not."""
-    there = None if held.is_half(held.order_of(Place(hertz))) else sightings(held, [Place(hertz)])[0]
-    return there is not None and bool(np.any(there.amplitude + JOINT_LINES.seen_sigmas * there.error < least))
 
 
 def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[LineSeen, ...]:
@@ -249,7 +241,13 @@ def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[L
 
     A supply has one frequency; what noise rings in a mode peaks anywhere within the mode's width.
     """
-    rung = {multiple for multiple, group in _by_multiple(known).items() if any(_rings(mode, group) for mode in modes)}
+    rung = set[int]()
+    for multiple, group in _by_multiple(known).items():
+        hertz = np.array([seen.hertz for seen in group])
+        for mode in (mode for mode in modes if not mode.undecided):
+            half, away = mode.damping_ratio * mode.frequency_hz, abs(float(np.median(hertz)) - mode.frequency_hz)
+            near = away <= NUMBERS.rings_within * half + mode.frequency_half_hz
+            rung |= {multiple} if near and hertz.std() > NUMBERS.rings_share * half else set()
     return tuple(seen for seen in known if seen.line.turns != 0.0 or seen.line.mains not in rung)
 
 
@@ -260,14 +258,6 @@ def _by_multiple(known: Iterable[LineSeen]) -> dict[int, list[LineSeen]]:
         if seen.line.turns == 0.0:
             fixed.setdefault(seen.line.mains, []).append(seen)
     return fixed
-
-
-def _rings(mode: Mode, group: Sequence[LineSeen]) -> bool:
-    """Whether the frequencies of ``group`` scatter about that of the ``mode`` as its ringing would."""
-    hertz, half = np.array([seen.hertz for seen in group]), mode.damping_ratio * mode.frequency_hz
-    away = abs(float(np.median(hertz)) - mode.frequency_hz)
-    near = away <= NUMBERS.rings_within * half + mode.frequency_half_hz
-    return bool(not mode.undecided and near and hertz.std() > NUMBERS.rings_share * half)
 
 
 def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequence[AgreedOrder]) -> ModalFit:
@@ -294,23 +284,18 @@ def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequenc
 
 
 def _as_tone(hertz: float, group: Sequence[LineSeen], words: str) -> Tone:
-    """A tone at ``hertz``, as large as the recordings of ``group`` hold it together."""
+    """A tone at ``hertz``, as large as the recordings of ``group`` hold it together, in the channels that show it.
+
+    Of its amplitude their own errors count, and their scatter.
+    """
     seconds = min(float(np.ptp(seen.held.time_s)) for seen in group)
     wander = max(float(np.std([seen.hertz for seen in group])), 0.05 / max(seconds, 1.0))
-    return Tone(hertz, wander, "mains", shown_amplitudes([(seen.held, seen.sighting) for seen in group]), words)
-
-
-def shown_amplitudes(seen: Sequence[tuple[HeldFrames, Sighting]]) -> dict[str, tuple[float, float]]:
-    """Mean amplitude of a line ``seen`` in recordings, and its standard error, in the channels that show it.
-
-    Their own errors count, and their scatter.
-    """
-    size, error = (np.array([getattr(line, key) for _, line in seen]) for key in ("amplitude", "error"))
-    mean = np.sqrt(np.mean(size**2, axis=0))
-    own = np.sqrt(np.mean(error**2, axis=0) / len(size))
-    spread = size.std(axis=0) / np.sqrt(max(len(size) - 1, 1))
-    shown = [(name, k) for k, name in enumerate(seen[0][0].channels) if mean[k] > Z95 * own[k]]
-    return {name: (float(mean[k]), float(np.hypot(own[k], spread[k]))) for name, k in shown}
+    size, error = (np.array([getattr(seen.sighting, key) for seen in group]) for key in ("amplitude", "error"))
+    mean, own = np.sqrt(np.mean(size**2, axis=0)), np.sqrt(np.mean(error**2, axis=0) / len(size))
+    error = np.hypot(own, size.std(axis=0) / np.sqrt(max(len(size) - 1, 1)))
+    columns = zip(group[0].held.channels, mean.tolist(), error.tolist(), own.tolist(), strict=True)
+    shown = {name: (amplitude, whole) for name, amplitude, whole, own_error in columns if amplitude > Z95 * own_error}
+    return Tone(hertz, wander, "mains", shown, words)
 
 
 MOTOR_NUMBERS = MethodNumbers("5-identify-explain.toml", "motors")
@@ -366,9 +351,10 @@ def motor_seen(motor: Motor, held: Sequence[HeldFrames], *, by_shaft: bool, sett
     for recording, own in zip(held, supplies, strict=True):
         at = own or supply
         speed = None if at is None else _speed(motor, recording, at, by_shaft=by_shaft)
-        speeds += [] if speed is None else [speed]
-        if speed is not None and abs(speed.speed_rpm / recording.rpm - 1.0) > STATED_REACH:
-            doubts.append((recording.rpm, speed.speed_rpm))
+        if speed is not None:
+            speeds.append(speed)
+            if abs(speed.speed_rpm / recording.rpm - 1.0) > STATED_REACH:
+                doubts.append((recording.rpm, speed.speed_rpm))
         if speed is None or speed.fits:
             seen += _seen_in(recording, lines, 0.0 if at is None else at.hertz)
     fits = not speeds or any(speed.fits for speed in speeds)
@@ -382,16 +368,12 @@ def motor_seen(motor: Motor, held: Sequence[HeldFrames], *, by_shaft: bool, sett
         speeds=tuple(speeds),
         lines=_records(seen),
     )
-    return MotorSeen(record, tuple(seen), _doubt(doubts))
-
-
-def _doubt(doubts: Sequence[tuple[float, float]]) -> str | None:
-    """Why stated speeds are not the shaft's, from ``doubts`` (stated, told by the line) [rpm]; None where they are."""
     if not doubts:
-        return None
+        return MotorSeen(record, tuple(seen), None)
     stated, read = (" and ".join(f"{rpm:.5g}" for rpm in dict.fromkeys(column)) for column in zip(*doubts, strict=True))
     where = f" in {len(doubts)} recordings" if len(doubts) > 1 else ""
-    return f"{stated} rpm is stated, and the line just below the motor's field tells {read} rpm{where}"
+    doubt = f"{stated} rpm is stated, and the line just below the motor's field tells {read} rpm{where}"
+    return MotorSeen(record, tuple(seen), doubt)
 
 
 def _supply(motor: Motor, held: HeldFrames, by_shaft: bool, settings: IdentifySettings) -> Measured | None:
@@ -475,13 +457,17 @@ def _seen_in(held: HeldFrames, lines: Sequence[MotorLine], supply_hz: float) -> 
     """Those of the ``lines`` that stand in the recording ``held``, with what else may stand there."""
     places = [Place(line.mains * supply_hz, line.turns) for line in lines]
     at_places = sightings(held, places)
-    shown = {
-        number: LineSeen(
-            line, held, line.hertz_at(supply_hz, held.rpm), sighting, *_also(held, number, lines, places, at_places)
-        )
-        for number, (line, sighting) in enumerate(zip(lines, at_places, strict=True))
-        if sighting is not None and sighting.seen
-    }
+    orders, shown = np.array([held.order_of(place) for place in places]), dict[int, LineSeen]()
+    for number, (line, sighting) in enumerate(zip(lines, at_places, strict=True)):
+        if sighting is None or not sighting.seen:
+            continue
+        # other lines, and the order of the shaft, so near that the recording does not part them
+        near = np.abs(orders - orders[number]) * held.span_rev < JOINT_LINES.apart_cycles
+        others = [(k, lines[k]) for k in np.flatnonzero(near).tolist() if k != number and at_places[k] is not None]
+        also, whole = tuple(other for _, other in others if other.of != line.name), float(round(orders[number]))
+        beside = whole >= 1.0 and abs(orders[number] - whole) * held.span_rev < JOINT_LINES.apart_cycles
+        on_order = whole if beside and (line.mains != 0 or line.of != "") else None
+        shown[number] = LineSeen(line, held, line.hertz_at(supply_hz, held.rpm), sighting, also, on_order)
     carriers = {seen.line.name for seen in shown.values()} | {SHAFT}
     kept = []
     for number, seen in shown.items():
@@ -494,51 +480,29 @@ def _seen_in(held: HeldFrames, lines: Sequence[MotorLine], supply_hz: float) -> 
     return kept
 
 
-def _also(
-    held: HeldFrames,
-    number: int,
-    lines: Sequence[MotorLine],
-    places: Sequence[Place],
-    at_places: Sequence[Sighting | None],
-) -> tuple[tuple[MotorLine, ...], float | None]:
-    """Other lines, and the order of the shaft, so near to line ``number`` that the recording does not part them."""
-    order = held.order_of(places[number])
-    near = tuple(
-        line
-        for other, line in enumerate(lines)
-        if other != number
-        and line.of != lines[number].name
-        and at_places[other] is not None
-        and abs(held.order_of(places[other]) - order) * held.span_rev < JOINT_LINES.apart_cycles
-    )
-    whole = round(order)
-    fixed = lines[number].mains != 0 or lines[number].of != ""
-    on_order = fixed and whole >= 1 and abs(order - whole) * held.span_rev < JOINT_LINES.apart_cycles
-    return near, float(whole) if on_order else None
-
-
 def _records(lines: Sequence[LineSeen]) -> tuple[LineRecord, ...]:
     """One record per line and channel, of the recording in which it is largest."""
-    records: dict[tuple[str, int, float, str], LineRecord] = {}
+    shown: dict[tuple[str, int, float, str], list[tuple[float, float, LineSeen]]] = {}
     for seen in lines:
         sizes = zip(seen.held.channels, seen.sighting.amplitude.tolist(), seen.sighting.error.tolist(), strict=True)
         for channel, size, error in sizes:
-            if size < Z95 * error:
-                continue
-            key = seen.line.name, seen.line.mains, seen.line.turns, channel
-            record = LineRecord(
-                name=seen.name,
-                side=seen.line.side,
-                channel=channel,
-                frequency_hz=seen.hertz,
-                order=seen.sighting.order,
-                speed_rpm=seen.held.rpm,
-                amplitude=size,
-                amplitude_ci95=size_interval(size, Z95 * error),
-                others=seen.others,
-                n_recordings=1,
-            )
-            old = records.get(key)
-            largest = record if old is None or size > old.amplitude else old
-            records[key] = replace(largest, n_recordings=1 + (0 if old is None else old.n_recordings))
-    return tuple(records.values())
+            if size >= Z95 * error:
+                key = seen.line.name, seen.line.mains, seen.line.turns, channel
+                shown.setdefault(key, []).append((size, error, seen))
+    records = []
+    for (*_, channel), group in shown.items():
+        size, error, largest = max(group, key=lambda sized: sized[0])
+        record = LineRecord(
+            name=largest.name,
+            side=largest.line.side,
+            channel=channel,
+            frequency_hz=largest.hertz,
+            order=largest.sighting.order,
+            speed_rpm=largest.held.rpm,
+            amplitude=size,
+            amplitude_ci95=size_interval(size, Z95 * error),
+            others=largest.others,
+            n_recordings=len(group),
+        )
+        records.append(record)
+    return tuple(records)

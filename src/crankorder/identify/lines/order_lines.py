@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from math import comb
 
 import numpy as np
 import xarray as xr
+from scipy.ndimage import maximum_filter1d
 from scipy.special import chdtrc
 
 from crankorder.identify.found import UNRESOLVED, Doubt, Evidence, OrderLine
@@ -24,7 +26,7 @@ from crankorder.identify.lines.line_evidence import (
     keeps_one_order,
     noise_chance,
 )
-from crankorder.identify.lines.line_phasors import Phasors, Recording, any_swept, phasors_at, recordings_of, zooms
+from crankorder.identify.lines.line_phasors import Bin, Phasors, Recording, any_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.orders.averages import HeldSizes, SizeRows
 from crankorder.orders.intervals import half_width
@@ -62,28 +64,33 @@ class _Search:
     def speed(self) -> Floats:
         return np.asarray(self.order_map.variables["speed"].values)
 
+    @property
+    def bins(self) -> int:
+        """Bins of all channels."""
+        return self.over.excess[:, 0].size
+
     @cached_property
     def is_swept(self) -> bool:
         """Whether the speeds are those of a run-up or coast-down and not steps: by the frames, or as groups touch."""
         if self.recordings:
             return any_swept(self.recordings)
         speed = np.sort(self.speed)
-        return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(self.order_map.attrs["speed_bin_rpm"]))
+        return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * self.speed_bin_rpm)
+
+    @property
+    def speed_bin_rpm(self) -> float:
+        """Width of a group of speeds."""
+        return float(self.order_map.attrs.get("speed_bin_rpm", 25.0))
 
     def chances(self, channel: int, peak: int, speeds: Ints) -> Floats:
         """Chance that noise alone stands as high in the bin ``peak`` at each of the ``speeds`` (numbers)."""
-        n = self.order_map.variables["n_independent"].values[speeds]
-        cells = zip(
-            self.over.ratio[channel, speeds, peak], n, self.over.floor_worth[channel, speeds, peak], strict=True
-        )
-        return np.array([noise_chance(*map(float, cell)) for cell in cells])
+        n, ratio = self.order_map.variables["n_independent"].values[speeds], self.over.ratio[channel, speeds, peak]
+        cells = np.array([ratio, n, self.over.floor_worth[channel, speeds, peak]]).T
+        return np.array([noise_chance(*cell) for cell in cells.tolist()])
 
     def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> Iterable[Phasors]:
         """What the frames hold of the bin ``peak`` near ``speeds_rpm``, within so many ``bins`` of speed."""
-        width = bins * float(self.order_map.attrs.get("speed_bin_rpm", 25.0))
-        return phasors_at(
-            self.recordings, channels=[channel], at=peak, speeds_rpm=speeds_rpm, speed_bin_rpm=width
-        ).values()
+        return phasors_at(self.recordings, Bin([channel], peak, speeds_rpm, bins * self.speed_bin_rpm)).values()
 
 
 def order_lines(
@@ -132,12 +139,12 @@ def _stronger(
     if len(search.speed) < 2 or not search.is_swept:
         return []  # at speeds that are held the rules tell lines
     # at the last bins skirts of others end
-    refused = [peak_seen for peak_seen in refused if peak_seen[0] < len(search.axis) - NUMBERS.neighbour_bins]
+    last = len(search.axis) - NUMBERS.neighbour_bins
     largest = max((float(line.amplitude.max()) for line in named), default=0.0)
     amplitude = np.nan_to_num(search.order_map["amplitude"].values[channel])
     stronger = []
     for peak, seen in refused:
-        far = float(search.over.ratio[channel, seen, peak].max()) > NUMBERS.swelling_ratio
+        far = peak < last and float(search.over.ratio[channel, seen, peak].max()) > NUMBERS.swelling_ratio
         if far and amplitude[seen, peak].max() > largest and not _has_fixed_frequency(search, channel, peak, seen):
             line = _line(search, channel, peak, seen, UNPROVEN, (UNRESOLVED,))
             # two lines in one bin may be nothing, or twice what it holds
@@ -182,8 +189,7 @@ def _seen_together(search: _Search, channel: int, peak: int) -> Ints:
     the speeds that shows least must speak for it too: an order that meets resonances stands high at some, not at these.
     """
     chances = search.chances(channel, peak, np.arange(len(search.speed)))
-    cells = search.over.excess.shape[0] * search.over.excess.shape[2]
-    shown = cells * _joined_chance(chances) < search.false_alarm_probability
+    shown = search.bins * _joined_chance(chances) < search.false_alarm_probability
     least = np.sort(chances)[len(chances) // 2 :]
     if not shown or _joined_chance(least) > NUMBERS.weak_chance:
         return np.zeros(0, dtype=np.int64)
@@ -201,15 +207,8 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chanc
         return False
     floor = float(np.median(search.over.floor[channel, seen, peak]))
     for alone in (True, False):  # two lines that beat hide each other's steadiness
-        by_recording = zooms(
-            search.recordings,
-            channels=[channel],
-            at=peak,
-            speeds_rpm=search.speed[seen],
-            speed_bin_rpm=float(search.order_map.attrs.get("speed_bin_rpm", 25.0)),
-            near=0.0,
-            alone=alone,
-        )
+        place = Bin([channel], peak, search.speed[seen], search.speed_bin_rpm)
+        by_recording = zooms(search.recordings, place, near=0.0, alone=alone)
         lines = [
             line
             for line in by_recording.values()  # a resonance that noise excites leaves far more than two lines do
@@ -224,23 +223,14 @@ def _by_its_phase(search: _Search, channel: int, peak: int, seen: Ints, chance: 
     """What the phase tells of a line whose amplitude changes: whether it keeps that of its bin, or turns evenly."""
     if not search.recordings or search.is_swept:
         return None
-    order_map = search.order_map
+    order_map, order = search.order_map, float(search.axis[peak])
     shown = search.phasors(channel, peak, search.speed[seen], bins=0.5)
     lines = [(phasors[0], centre, recording.hop_rev) for recording, phasors, centre, _ in shown]
     share = float(np.mean(order_map["n_independent"].values / np.maximum(order_map["n_frames"].values, 1)))
-    for slips in (False, True):
-        if slips and not has_moved(order_map, peak, seen):
-            continue
-        kept = keeps_its_phase(
-            lines,
-            order=float(search.axis[peak]),
-            independent_share=min(1.0, share),
-            slips=slips,
-            false_alarm_probability=chance,
-        )
-        if kept:
-            return "steady, not locked" if slips else "locked to the shaft"
-    return None
+    kept = partial(keeps_its_phase, lines, order, min(1.0, share), false_alarm_probability=chance)
+    if kept(slips=False):
+        return "locked to the shaft"
+    return "steady, not locked" if has_moved(order_map, peak, seen) and kept(slips=True) else None
 
 
 def _swells_slowly(search: _Search, channel: int, peak: int, seen: Ints) -> bool:
@@ -263,11 +253,8 @@ def _beyond_chance(search: _Search, channel: int, peak: int, seen: Ints) -> bool
 
     With p the chance at the weakest of the speeds seen, k of n speeds are that high with at most C(n, k) p^k.
     """
-    highest = float(search.chances(channel, peak, seen).max())
-    n_speeds, k = len(search.speed), len(seen)
-    sets = np.prod([(n_speeds - j) / (j + 1.0) for j in range(k)])
-    cells = search.over.excess.shape[0] * search.over.excess.shape[2]
-    return bool(cells * sets * highest**k < search.false_alarm_probability)
+    highest, k = float(search.chances(channel, peak, seen).max()), len(seen)
+    return bool(search.bins * comb(len(search.speed), k) * highest**k < search.false_alarm_probability)
 
 
 def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: Ints) -> bool:
@@ -289,13 +276,7 @@ def _peaks(excess: Floats, axis: Floats) -> Ints:
     """Bins that are above the level at a speed or more and the largest within a quarter order, or 8 bins if fewer."""
     score = np.log(np.maximum(excess, 1.0)).sum(axis=0)
     reach = min(NUMBERS.neighbour_bins, max(1, round(NUMBERS.neighbour_orders / (axis[1] - axis[0]))))
-    return np.flatnonzero((score > 0.0) & (score >= largest_within(score, reach)))
-
-
-def largest_within(values: Floats, reach: int) -> Floats:
-    """Largest of the ``values`` (bins,), none below -1, within ``reach`` bins of each."""
-    padded = np.pad(values, reach, constant_values=-1.0)
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1))
+    return np.flatnonzero((score > 0.0) & (score >= maximum_filter1d(score, 2 * reach + 1, mode="constant", cval=-1.0)))
 
 
 def _line(
@@ -309,12 +290,11 @@ def _line(
     lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
     distance, distance_error = _refined(np.sqrt(np.maximum(lobe, 0.0)), noise / n_frames)
     if evidence == "locked to the shaft":
-        amplitude = order_map["coherent_amplitude"].values[channel, seen, peak]
-        error = order_map["standard_error"].values[channel, seen, peak]
-        dof = order_map["degrees_of_freedom"].values[channel, seen, peak].astype(np.float64)
-        both = [order_map[f"coherent_amplitude_{end}"].values[channel, seen, peak] for end in ("low", "high")]
-        ends: Floats | None = np.stack(both, axis=1)
-        half = order_map["phase_ci95"].values[channel, seen, peak]
+        names = "coherent_amplitude", "standard_error", "degrees_of_freedom", "phase_ci95"
+        of_ends = "coherent_amplitude_low", "coherent_amplitude_high"
+        values = [order_map[name].values[channel, seen, peak] for name in (*names, *of_ends)]
+        amplitude, error, dof, half = values[0], values[1], values[2].astype(np.float64), values[3]
+        ends: Floats | None = np.stack(values[4:], axis=1)
     else:
         amplitude, error, dof, ends = _by_energy(search, channel, peak, seen, distance)
         half = None
@@ -345,10 +325,8 @@ def _by_energy(
 
     The power of a line A in noise N varies by 2 A^2 N + N^2 from frame to frame.
     """
-    energy, noise = (
-        search.order_map["amplitude"].values[channel, seen, peak] ** 2,
-        search.over.floor[channel, seen, peak],
-    )
+    energy = search.order_map["amplitude"].values[channel, seen, peak] ** 2
+    noise = search.over.floor[channel, seen, peak]
     n_frames = search.order_map.variables["n_independent"].values[seen]
     loss = float(np.sinc(distance) / (1.0 - distance**2))  # between two bins a window shows less of a line
     amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
@@ -362,12 +340,9 @@ def _by_energy(
         shown = search.phasors(channel, peak, np.array([speed]), bins=0.5)
         sizes = [np.abs(phasors[:1, np.isfinite(phasors[0].real)]) / loss for _, phasors, _, _ in shown]
         held += [HeldSizes(row, size) for size in sizes if size.shape[1] > 1]
-    rows = SizeRows(
-        *(values[None] for values in (amplitude, error, dof, np.maximum(amplitude - half, 0.0), amplitude + half))
-    )
-    rows = rows.with_scatter(
-        held, noise=noise[None] / loss**2, independent=search.over.floor_worth[channel, seen, peak]
-    )
+    columns = amplitude, error, dof, np.maximum(amplitude - half, 0.0), amplitude + half
+    rows, worth = SizeRows(*(values[None] for values in columns)), search.over.floor_worth[channel, seen, peak]
+    rows = rows.with_scatter(held, noise=noise[None] / loss**2, independent=worth)
     return amplitude, rows.error[0], rows.dof[0], np.stack([rows.low[0], rows.high[0]], axis=1)
 
 

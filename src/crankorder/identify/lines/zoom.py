@@ -136,14 +136,15 @@ def zoomed(
     if line.snr < NUMBERS.seen_squared and course is None:
         return None
     wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
-    beside_it = None if second is None else replace(second, amplitude=_at_zero(second, frames.middle))
+    if second is not None:
+        line = replace(line, second=replace(second, amplitude=_at_zero(second, frames.middle)))
     if course is not None:  # it tells the order between the modes that the run-up crosses
         variance = (course.half / NUMBERS.sure_sigmas) ** 2
         line = replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
     elif swept:
         several = 0.0 if second is not None else (NUMBERS.swept_turns_rev / line.span_rev) ** 2
         line = replace(line, swept=True, variance=line.variance + several)
-    return replace(line, amplitude=_at_zero(line, frames.middle), wander=wander, second=beside_it)
+    return replace(line, amplitude=_at_zero(line, frames.middle), wander=wander)
 
 
 def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> float:
@@ -274,15 +275,11 @@ def _second(phasors: Complexes, frames: Frames, line: Zoomed) -> Zoomed | None:
     mirror = np.abs((left * np.exp(-2j * np.pi * (2.0 * line.offset - second.offset) * turn)).mean(axis=1))
     if np.linalg.norm(mirror) > NUMBERS.mirrored_share * np.linalg.norm(second.amplitude):
         return None
-    return second if _in_both_halves(phasors, turn, line, second) else None
-
-
-def _in_both_halves(phasors: Complexes, turn: Floats, line: Zoomed, second: Zoomed) -> bool:
-    """Whether ``second`` beside ``line`` has one amplitude and phase in both halves of the recording."""
+    # it has one amplitude and phase in both halves of the recording
     waves = np.exp(2j * np.pi * np.outer(turn, [line.offset, second.offset]))
     halves = [np.linalg.lstsq(waves[part], phasors[:, part].T, rcond=None)[0][1] for part in (turn < 0, turn >= 0)]
-    apart = np.linalg.norm(halves[0] - halves[1])
-    return bool(apart < NUMBERS.same_halves_share * (np.linalg.norm(halves[0]) + np.linalg.norm(halves[1])))
+    size = np.linalg.norm(halves[0]) + np.linalg.norm(halves[1])
+    return second if np.linalg.norm(halves[0] - halves[1]) < NUMBERS.same_halves_share * size else None
 
 
 def _wander(phasors: Complexes, turn: Floats, line: Zoomed) -> float:

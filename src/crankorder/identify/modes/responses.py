@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtri, ndtri
 
 from crankorder.identify.found import ModalFit, OrderResponse, UnseenBound
+from crankorder.identify.lines.growth import Largest
 from crankorder.identify.modes.order_blocks import NUMBERS as ORDER_BLOCKS
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import (
@@ -206,21 +207,23 @@ class HeldPeak:
         return positive_interval(self.amplitude, half_width(self.freedom) * self.error)
 
 
-def held_peak(modal: ModalFit, order: float, channel: str, *, largest_rpm: float) -> HeldPeak | None:
+def held_peak(modal: ModalFit, order: float, channel: str, *, seen: Largest) -> HeldPeak | None:
     """Amplitude that ``order`` would reach in ``channel`` at the worst speed of its sweeps, held, by the fit ``modal``.
 
-    None where no response fits its sweeps over the speed ``largest_rpm`` at which it was seen largest. Of several
-    recordings that pass the worst speed that counts which knows it best.
+    None where no response fits its sweeps over the speed at which its largest amplitude was ``seen``, or where it would
+    be less: no sweep makes an order larger. Of several recordings that pass the worst speed that counts which knows it
+    best.
     """
     own = [response for response in modal.responses if response.fits and response.recording]
     own = [response for response in own if response.channel == channel]
     near = [response for response in own if abs(response.order - order) <= ORDER_BLOCKS.same_order_share * order]
-    if not any(response.passes(largest_rpm) for response in near):
+    if not any(response.passes(seen.speed_rpm) for response in near):
         return None
     peaks = [peak_of(response, modal) for response in near]
     worst = max(peaks, key=lambda peak: peak.amplitude)
     passing = [peak for peak, response in zip(peaks, near, strict=True) if response.passes(worst.rpm)]
-    return min(passing, key=lambda peak: peak.share)
+    best = min(passing, key=lambda peak: peak.share)
+    return None if best.ends[1] < seen.amplitude else best
 
 
 def peak_of(response: OrderResponse, modal: ModalFit, ends: tuple[float, float] = (0.0, np.inf)) -> HeldPeak:

@@ -12,7 +12,7 @@ import xarray as xr
 
 from crankorder.engine.machine_parts import Bearing
 from crankorder.findings import BearingFinding
-from crankorder.identify.bearings.envelope_lines import (
+from crankorder.identify.envelope_lines import (
     Candidate,
     EnvelopeLine,
     Place,
@@ -98,13 +98,15 @@ def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int
     """Record of ``place`` where an order of the vibration lies in it; None where none does."""
     ends = [(order, half_width(order.degrees_of_freedom) * order.order_error) for order in orders]
     near = [order for order, spare in ends if place.low - spare <= order.order <= place.high + spare]
-    if place.line != "N*fs":
-        near = [order for order in near if not _is_locked(order, revs_per_cycle)]
+    if place.line != "N*fs":  # no order of the engine's cycle: locked, or on a multiple as far as can be told
+        off = {order.order: abs(order.order - round(order.order * revs_per_cycle) / revs_per_cycle) for order in near}
+        free = [order for order in near if order.lock == "slips" or off[order.order] > 2.0 * order.order_error]
+        near = [order for order in free if order.lock != "locked"]
     if not near:
         return None
     # the height over the local floor compares channels of different units
-    best = max(near, key=lambda order: max(line.level_over_floor_db for line in order.lines))
-    line = max(best.lines, key=lambda line: line.level_over_floor_db)
+    pairs = [(order, line) for order in near for line in order.lines]
+    best, line = max(pairs, key=lambda pair: pair[1].level_over_floor_db)
     law = growth(line)
     steady = law is not None and law.law == "keeps its size"
     level = mean_level(line) if steady else reported(line, law)
@@ -128,12 +130,6 @@ def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int
         evidence=f"{line.evidence}; {line.level_over_floor_db:.1f} dB over the local floor in {line.channel}, "
         f"{len(best.lines)} channels show it",
     )
-
-
-def _is_locked(order: AgreedOrder, revs_per_cycle: int) -> bool:
-    """Whether an order belongs to the engine's cycle: locked, or on one of its multiples as far as can be told."""
-    off = abs(order.order - round(order.order * revs_per_cycle) / revs_per_cycle)
-    return order.lock == "locked" or (order.lock == "undecided" and off <= 2.0 * order.order_error)
 
 
 def _record(
@@ -172,17 +168,15 @@ def _envelope_record(
     drawn = [float(envelope[end].values[line.channel, line.speed]) for end in ("band_low", "band_high")]
     band = list(line.band_hz) if math.isfinite(line.band_hz[0]) else drawn
     seen = line.seen.any(axis=0).sum()
+    alone = "" if seen else ", so only in the mean of all"
+    apart = "" if line.sidebands is None else f", sidebands {line.sidebands:.3g} apart"
+    chance = "below 1e-12" if line.chance < 1e-12 else f"{line.chance:.1e}"
     text = (
         f"{10.0 * math.log10(line.ratio):.1f} dB over the envelope's floor in {names[line.channel]}, band "
-        f"{band[0]:.0f} to {band[1]:.0f} Hz; over the level at {seen} of {envelope.sizes['speed']} speeds"
+        f"{band[0]:.0f} to {band[1]:.0f} Hz; over the level at {seen} of {envelope.sizes['speed']} speeds{alone}; "
+        f"{line.harmonics} of its first 4 multiples{apart}; chance that noise makes it anywhere in the test {chance} "
+        f"(level {level:g})"
     )
-    if not seen:
-        text += ", so only in the mean of all"
-    text += f"; {line.harmonics} of its first 4 multiples"
-    if line.sidebands is not None:
-        text += f", sidebands {line.sidebands:.3g} apart"
-    chance = "below 1e-12" if line.chance < 1e-12 else f"{line.chance:.1e}"
-    text += f"; chance that noise makes it anywhere in the test {chance} (level {level:g})"
     return _record(
         line.place,
         line.order,
@@ -224,38 +218,31 @@ def vibration_verdict(place: Place, order: AgreedOrder, *, revs_per_cycle: int) 
 
     ``revs_per_cycle``: crank revolutions of an engine cycle, whose multiples combustion makes.
     """
-    if place.line == "N*fs":
-        return _passage_verdict(place, order, revs_per_cycle)
-    slip = place.slip_percent(order.order)
-    text = f"Order {order.order:.4g} may be {DAMAGED[place.line]} of {place.name}: {_slip_words(slip)}."
-    if order.lock == "undecided":
-        text += f" Whether it slips is not decided{_revs_words(order)}."
-    return Judged(f"{text} {RE_RUN}", re_run=True)
-
-
-def _passage_verdict(place: Place, order: AgreedOrder, revs_per_cycle: int) -> Judged:
-    """Verdict on N*fs, which is BPFO + BPFI for every geometry, and a multiple of the shaft's order as well."""
+    slip = _slip_words(place.slip_percent(order.order))
+    revs = ""
+    if order.needed_revs is not None and math.isfinite(order.needed_revs):
+        revs = f"; a recording of {math.ceil(order.needed_revs)} revolutions would tell"
+    if place.line != "N*fs":
+        undecided = f" Whether it slips is not decided{revs}." if order.lock == "undecided" else ""
+        text = f"Order {order.order:.4g} may be {DAMAGED[place.line]} of {place.name}: {slip}.{undecided}"
+        return Judged(f"{text} {RE_RUN}", re_run=True)
+    # BPFO + BPFI for every geometry, and a multiple of the shaft's order as well
     n, shaft = place.elements or 0, place.shaft_order
     whose = "the crankshaft" if shaft == 1.0 else f"the shaft that turns at {shaft:g} of the crank's speed"
     if order.lock == "locked":
-        text = (
-            f"Exactly locked: {n} x of {whose}, such as a toothed or lobed part. BPFO + BPFI adds up to it too, "
-            "at any slip of the cage."
-        )
         cycle = place.expected * revs_per_cycle
-        if abs(cycle - round(cycle)) < 1e-9:
-            text += " In a firing engine combustion makes this order too."
-        return Judged(text)
+        fired = " In a firing engine combustion makes this order too." if abs(cycle - round(cycle)) < 1e-9 else ""
+        text = f"Exactly locked: {n} x of {whose}, such as a toothed or lobed part. BPFO + BPFI adds up to it too, "
+        return Judged(f"{text}at any slip of the cage.{fired}")
     if order.lock == "slips":
-        slip = place.slip_percent(order.order)
         text = (
-            f"Slips ({_slip_words(slip)}), so no part that keeps step with {whose}, nor BPFO + BPFI on it: "
+            f"Slips ({slip}), so no part that keeps step with {whose}, nor BPFO + BPFI on it: "
             f"the {n} rolling elements of {place.name}, passing more slowly or faster than it turns."
         )
         return Judged(f"{text} {RE_RUN}", re_run=True)
     return Judged(
         f"Either the {n} rolling elements of {place.name} (N*fs = BPFO + BPFI) or a part with {n} teeth or lobes on "
-        f"{whose}: not decided{_revs_words(order)}."
+        f"{whose}: not decided{revs}."
     )
 
 
@@ -276,12 +263,6 @@ def _damage(place: Place) -> str:
     if place.line == "N*fs":
         return "strikes of every rolling element"
     return f"damage of {DAMAGED[place.line]}"
-
-
-def _revs_words(order: AgreedOrder) -> str:
-    if order.needed_revs is None or not math.isfinite(order.needed_revs):
-        return ""
-    return f"; a recording of {math.ceil(order.needed_revs)} revolutions would tell"
 
 
 def _slip_words(slip_percent: float) -> str:
@@ -314,28 +295,23 @@ def envelope_verdict(
         )
     rivals = _rivals(line, found)
     text = _part_words(line, rivals, slip)
-    if speed_is_nominal:
-        text += f" {_speed_words(shaft)}"
+    if speed_is_nominal and shaft is None:
+        text += " The speed is nominal: its error looks like slip."
+    elif speed_is_nominal and shaft is not None:
+        off, error = 100.0 * (shaft.factor - 1.0), 100.0 * Z95 * shaft.error
+        text += (
+            f" The stated speed is nominal: by the spacing of the sidebands the shaft turns {abs(off):.2f} % "
+            f"{'faster' if off > 0.0 else 'slower'} (± {error:.2f} %), and the slip is counted from that."
+        )
+    others = [other for other in found if other is not line]
     same = [
         f"{other.place.name} {other.place.title}"
-        for other in found
-        if other is not line and abs(other.order - line.order) <= 3.0 * math.hypot(other.order_error, line.order_error)
+        for other in others
+        if abs(other.order - line.order) <= 3.0 * math.hypot(other.order_error, line.order_error)
     ]
-    if same:
-        text += f" {', '.join(same)} cannot be told from it."
+    text += f" {', '.join(same)} cannot be told from it." if same else ""
     damage = place.line != "N*fs" and (not rivals or line.ranking.of(place.line) is None)
     return Judged(f"{text} {RE_RUN}", damage, re_run=True)
-
-
-def _speed_words(shaft: ShaftSpeed | None) -> str:
-    """What is said of a nominal speed."""
-    if shaft is None:
-        return "The speed is nominal: its error looks like slip."
-    off, error = 100.0 * (shaft.factor - 1.0), 100.0 * Z95 * shaft.error
-    return (
-        f"The stated speed is nominal: by the spacing of the sidebands the shaft turns {abs(off):.2f} % "
-        f"{'faster' if off > 0.0 else 'slower'} (± {error:.2f} %), and the slip is counted from that."
-    )
 
 
 def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
@@ -345,9 +321,8 @@ def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
     goes with every damage that comes and goes with the load.
     """
     ranked, place_line = line.ranking, line.place.line
-    high = (
-        {candidate.place.line for candidate in (ranked.candidates[0], *ranked.rivals())} if ranked.candidates else set()
-    )
+    highest = (ranked.candidates[0], *ranked.rivals()) if ranked.candidates else ()
+    high = {candidate.place.line for candidate in highest}
     kin = [other for other in found if other.place.name == line.place.name]
     # a damaged cage has many harmonics: a line at one of them speaks for no other part
     large = {
@@ -364,29 +339,22 @@ def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
     """Which part a ``line`` that goes with no other tells of, by how much, and which of ``rivals`` it may be."""
     place, ranked = line.place, line.ranking
     own = ranked.of(place.line)
+    damaged = f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}"
     if own is None:
-        return f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}."
+        return f"{damaged}."
     if not rivals:
         first, *others = ranked.candidates
-        margin = ""
-        if others:
-            margin = f", {first.level_db - others[0].level_db:.0f} dB more than {others[0].place.title}"
-        return (
-            f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}; its harmonics stand "
-            f"{own.level_db:.0f} dB over the floor{margin}."
-        )
+        more = f"{first.level_db - others[0].level_db:.0f} dB more than {others[0].place.title}" if others else ""
+        margin = f", {more}" if others else ""
+        return f"{damaged}; its harmonics stand {own.level_db:.0f} dB over the floor{margin}."
     levels = ", ".join(f"{rival.place.title} {rival.level_db:.0f} dB" for rival in (own, *rivals))
+    levels = f"is not told (harmonics over the floor: {levels})"
+    strikes = f"Strikes at {place.title} of {place.name}, {slip}"
     if {place.line, *(rival.place.line for rival in rivals)} == {"BPFO", "BPFI"}:
-        return (
-            f"Strikes at {place.title} of {place.name}, {slip}, and about as strong at {rivals[0].place.title}: both "
-            "races are struck, as by a damaged rolling element, by dirt or by damage of both; which part is not told "
-            f"(harmonics over the floor: {levels})."
-        )
+        both = "both races are struck, as by a damaged rolling element, by dirt or by damage of both"
+        return f"{strikes}, and about as strong at {rivals[0].place.title}: {both}; which part {levels}."
     parts = " or ".join(DAMAGED[rival.place.line] for rival in (own, *rivals))
-    return (
-        f"Strikes at {place.title} of {place.name}, {slip}: damage of {parts}; which of them is not told (harmonics "
-        f"over the floor: {levels})."
-    )
+    return f"{strikes}: damage of {parts}; which of them {levels}."
 
 
 SIDEBAND_NUMBERS = MethodNumbers("5-identify-bearings.toml", "shaft_speed")

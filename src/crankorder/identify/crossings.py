@@ -252,25 +252,22 @@ def _measured(
     )
     if not finding.in_range:
         return replace(crossing, finding=finding)
-    trends = crossing.trends
+    trends, rpm, least = crossing.trends, finding.rpm, NUMBERS.clearly_excited_ratio
     trend = min(trends, key=lambda excess: excess.chance, default=None)
     by_fit = [excess for fit in fitted if (excess := fitted_excess(fit, number, modal)) is not None]
     best = None if trend is None else higher(trend, by_fit)
-    evidence = evidence_beside(agreed, finding.rpm, mode, trend, tested, near)
+    evidence = evidence_beside(agreed, rpm, mode, trend, tested, near)
     if best is not None and best is not trend:
-        what, low, high = "what it is without the mode, by the fit", best.ratio_low, best.ratio_high
-        evidence = f"in {best.channel} at least {low:.2g} times {what}"
-        if np.isfinite(high):
-            evidence = f"in {best.channel} {best.ratio:.2g} times {what} ({low:.2g} to {high:.2g})"
+        low, high = best.ratio_low, best.ratio_high
+        times = f"{best.ratio:.2g} times" if np.isfinite(high) else f"at least {low:.2g} times"
+        span = f" ({low:.2g} to {high:.2g})" if np.isfinite(high) else ""
+        evidence = f"in {best.channel} {times} what it is without the mode, by the fit{span}"
     # a resonance that was measured through without the order rising is not excited
-    rpm, least = finding.rpm, NUMBERS.clearly_excited_ratio
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     quiet = resolved and bool(trends) and max(excess.ratio_high for excess in trends) < least
     # where a line hides in the floor around the crossing, its trend is too high
-    around = _count_around(rpm, tested)
-    quiet &= all(
-        _count_around(rpm, line.speed_rpm) >= TREND_NUMBERS.mostly_seen_share * around for line in agreed.lines
-    )
+    most, *counts = (_count_around(rpm, speeds) for speeds in (tested, *(line.speed_rpm for line in agreed.lines)))
+    quiet &= min(counts, default=most) >= TREND_NUMBERS.mostly_seen_share * most
     known = [fit for fit in fitted if number in fit.reached and fit.passes(rpm)]
     if {fit.channel for fit in known} >= {line.channel for line in agreed.lines} and known:
         ends = [_beside_mode(fit, number, modal).ends(half_width(float(fit.degrees_of_freedom)))[1] for fit in known]
@@ -355,17 +352,16 @@ def _by_residue(response: OrderResponse, number: int, modal: ModalFit) -> list[S
 
 def _decided(met: list[tuple[Crossing, list[Seen]]]) -> list[Crossing]:
     """Crossings of ``met``, those called excited of which what was seen there says so."""
-    seen_in_range = [seen if crossing.finding.in_range else [] for crossing, seen in met]
-    chances = np.array([simes(np.array([each.chance for each in seen])) if seen else np.nan for seen in seen_in_range])
+    of_met = [[each.chance for each in seen] if crossing.finding.in_range else [] for crossing, seen in met]
+    chances = np.array([simes(np.array(of_one)) if of_one else np.nan for of_one in of_met])
     excited = claimed(chances, q=NUMBERS.false_discovery_rate)
     decided = []
     for (crossing, seen), chance, sure in zip(met, chances.tolist(), excited.tolist(), strict=True):
         finding = replace(crossing.finding, chance=finite(chance))
         if sure:
             shows = {each.channel for each in seen if len(seen) * each.chance <= NUMBERS.false_discovery_rate}
-            shows |= {min(seen, key=lambda each: each.chance).channel}
+            channels = tuple(sorted(shows | {min(seen, key=lambda each: each.chance).channel}))
             evidence = f"{finding.evidence}; chance without the mode {chance:.1g}"
-            channels = tuple(sorted(shows))
             finding = replace(finding, verdict="excited", excited=True, channels=channels, evidence=evidence)
         decided.append(replace(crossing, finding=finding))
     return decided

@@ -10,6 +10,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from crankorder.findings import AvoidedSpeed, CrossingFinding, FreeBand, OpenBand
+from crankorder.identify.crossings import NUMBERS as CROSSINGS
+from crankorder.identify.crossings import fitted_excess, higher, responses_to, width_rpm
 from crankorder.identify.found import (
     AgreedOrder,
     AgreedOrders,
@@ -24,8 +26,6 @@ from crankorder.identify.found import (
 from crankorder.identify.lines.growth import largest, reported_within
 from crankorder.identify.modes.order_search import ORDER_MODES
 from crankorder.identify.modes.responses import EXCLUSION, HeldPeak, peak_of, together, with_and_without
-from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
-from crankorder.identify.speeds.crossings import fitted_excess, higher, responses_to, width_rpm
 from crankorder.orders.intervals import Z95, half_width
 from crankorder.quantities import Bools
 from crankorder.records import Ends, known
@@ -53,6 +53,27 @@ class _Peak:
     ends: tuple[float, float]
     response: OrderResponse | None = None
     by_fit: bool = False
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Largest amplitude of any order ``of_channel``, with the ``unit`` of each channel: those of one unit compare."""
+
+    of_channel: Mapping[str, float]
+    unit: Mapping[str, str]
+
+    @classmethod
+    def of(cls, orders: Sequence[AgreedOrder], unit: Mapping[str, str]) -> Sizes:
+        """Of the ``orders`` of a test; ``unit`` is that of each channel."""
+        largest: dict[str, float] = {}
+        for line in (line for agreed in orders for line in agreed.lines):
+            largest[line.channel] = max(largest.get(line.channel, 0.0), float(line.amplitude.max()))
+        return cls(largest, unit)
+
+    def in_unit(self, channel: str) -> float:
+        """The largest in all channels of the unit of ``channel``; 0 where there is none."""
+        alike = (size for name, size in self.of_channel.items() if self.unit[name] == self.unit[channel])
+        return max(alike, default=0.0)
 
 
 def speeds_to_avoid(
@@ -89,26 +110,14 @@ def speeds_to_avoid(
     settings : ``crossing_band_rpm`` is the least width of a free band
     sweep_rpm_per_s : rate at which the fastest sweep changes the speed, 0 where none does
     """
-    largest: dict[str, float] = {}
-    for line in (line for agreed in orders for line in agreed.lines):
-        largest[line.channel] = max(largest.get(line.channel, 0.0), float(line.amplitude.max()))
-    in_unit = {name: max(largest[other] for other in largest if unit[other] == unit[name]) for name in largest}
-    met = [_cost(crossing, orders, modal, in_unit, settings) for crossing in found if _counts(crossing)]
-    lone = lone_peaks(
-        orders,
-        modal,
-        met,
-        largest=largest,
-        in_unit=in_unit,
-        unit=unit,
-        factor=settings.free_amplification,
-        sweep_rpm_per_s=sweep_rpm_per_s,
-    )
+    sizes = Sizes.of(orders, unit)
+    met = [_cost(crossing, orders, modal, sizes, settings) for crossing in found if _counts(crossing)]
+    lone = lone_peaks(orders, modal, met, sizes, factor=settings.free_amplification, sweep_rpm_per_s=sweep_rpm_per_s)
     findings = [crossing.finding for crossing in found]
     numbered = {(finding.order, finding.mode_hz) for finding in findings if finding.amplification is not None}
     # a meeting that has a number of its own keeps that one: the reason says how the peak stands over its neighbours
     met += [replace(peak, amplification=None) if (peak.order, peak.mode_hz) in numbered else peak for peak in lone]
-    by_cost = sorted((_joined(group) for group in _overlapping(met)), key=lambda peak: (_negative_cost(peak), peak.rpm))
+    by_cost = sorted(_joined(met), key=lambda peak: (-(peak.cost or 0.0), peak.rpm))
     avoid = tuple(replace(peak, rank=rank) for rank, peak in enumerate(by_cost, start=1))
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
@@ -116,7 +125,7 @@ def speeds_to_avoid(
     least, most = 1.0 - NUMBERS.beside_share, 1.0 + NUMBERS.beside_share
     opened = [  # what speeds to avoid take is not open, but neither is it free
         *(_open(min(_range(a)[0], a.rpm * least), max(_range(a)[1], a.rpm * most), "") for a in avoid),
-        *_by_modes(found, modal, unit, largest, settings),
+        *_by_modes(found, modal, sizes, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
         *_by_shown(orders, modal, settings),
     ]
@@ -155,11 +164,6 @@ def _range(peak: AvoidedSpeed) -> Ends:
     return cast("Ends", peak.rpm_range)
 
 
-def _negative_cost(peak: AvoidedSpeed) -> float:
-    """Cost of ``peak`` with a minus sign, as a key that sorts the costliest first."""
-    return -(peak.cost or 0.0)
-
-
 def _is_vague(crossing: Crossing) -> bool:
     """Whether the natural frequency of ``crossing`` is undecided, and nobody knows where to stay away."""
     low, high = crossing.ends_rpm
@@ -176,16 +180,16 @@ def _counts(crossing: Crossing) -> bool:
 
 
 def _cost(
-    crossing: Crossing, orders: AgreedOrders, modal: ModalFit, in_unit: Mapping[str, float], settings: IdentifySettings
+    crossing: Crossing, orders: AgreedOrders, modal: ModalFit, largest: Sizes, settings: IdentifySettings
 ) -> AvoidedSpeed:
-    """Range, amplitude and cost of an excited crossing; ``in_unit``: largest amplitude of the unit of each channel."""
+    """Range, amplitude and cost of an excited crossing, beside the ``largest`` amplitudes."""
     mode, finding = crossing.mode, crossing.finding
     agreed = min(orders, key=lambda agreed: abs(agreed.order - finding.order))
     half = mode.damping_ratio * finding.rpm
     rpm_range = (crossing.ends_rpm[0] - half, crossing.ends_rpm[1] + half)
     peaks = _peaks(crossing, rpm_range, agreed, modal, settings)
-    sizes = {channel: peak.amplitude for channel, peak in peaks.items()}
-    shares = {channel: size / in_unit[channel] for channel, size in sizes.items() if in_unit.get(channel, 0.0) > 0.0}
+    costs = [(channel, peak.amplitude, largest.in_unit(channel)) for channel, peak in peaks.items()]
+    shares = {channel: size / most for channel, size, most in costs if most > 0.0}
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
     peak = peaks.get(channel)
     # how many times what it is without the mode: by the fit, unless the amplitudes stand higher over their trend
@@ -257,37 +261,29 @@ def _fitted_peak(response: OrderResponse, rpm: float, rpm_range: Ends, modal: Mo
     return peak if half_width(peak.freedom) * peak.share <= 1.0 - 1.0 / NUMBERS.peak_within_ratio else None
 
 
-def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
-    """Crossings in groups whose speed ranges overlap, by speed."""
-    groups: list[list[AvoidedSpeed]] = []
+def _joined(met: list[AvoidedSpeed]) -> list[AvoidedSpeed]:
+    """One speed to avoid of all crossings whose ranges overlap, named and ranked after the costliest."""
+    joined, groups = list[AvoidedSpeed](), list[list[AvoidedSpeed]]()
     for peak in sorted(met, key=lambda peak: _range(peak)[0]):
         if groups and _range(peak)[0] <= max(_range(other)[1] for other in groups[-1]):
             groups[-1].append(peak)
         else:
             groups.append([peak])
-    return groups
+    for group in groups:
+        by_cost = sorted(group, key=lambda peak: -(peak.cost or 0.0))
+        begins, ends = zip(*map(_range, group), strict=True)
+        speed = replace(
+            by_cost[0],
+            rpm_range=(min(begins), max(ends)),
+            orders=tuple(peak.order for peak in by_cost),
+            modes_hz=tuple(peak.mode_hz for peak in by_cost),
+            reason=" and ".join(peak.reason for peak in by_cost),
+        )
+        joined.append(speed)
+    return joined
 
 
-def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
-    """One speed to avoid from crossings whose ranges overlap, named and ranked after the costliest."""
-    by_cost = sorted(group, key=_negative_cost)
-    begins, ends = zip(*map(_range, group), strict=True)
-    return replace(
-        by_cost[0],
-        rpm_range=(min(begins), max(ends)),
-        orders=tuple(peak.order for peak in by_cost),
-        modes_hz=tuple(peak.mode_hz for peak in by_cost),
-        reason=" and ".join(peak.reason for peak in by_cost),
-    )
-
-
-def _by_modes(
-    found: Sequence[Crossing],
-    modal: ModalFit,
-    unit: Mapping[str, str],
-    largest: Mapping[str, float],
-    settings: IdentifySettings,
-) -> list[OpenBand]:
+def _by_modes(found: Sequence[Crossing], modal: ModalFit, largest: Sizes, settings: IdentifySettings) -> list[OpenBand]:
     """Speeds at which a known mode amplifies an order by more than is free, or may."""
     bands: list[OpenBand] = []
     for crossing in found:
@@ -303,10 +299,11 @@ def _by_modes(
             low, high = finding.rpm - slower * (finding.rpm - low), finding.rpm + slower * (high - finding.rpm)
             says = finding.verdict if finding.in_range else "beside the tested range, so that its flank may reach in"
             bands.append(_open(low, high, f"{what}: {says}"))
-        alike = {(fit.recording, unit[fit.channel], fit.force.span_rpm) for fit in fits}
-        for key in sorted(alike):
-            group = [fit for fit in fits if (fit.recording, unit[fit.channel], fit.force.span_rpm) == key]
-            matters = EXCLUSION.matters_share * max(largest.get(fit.channel, 0.0) for fit in group)
+        alike: dict[tuple[str, str, Ends], list[OrderResponse]] = {}
+        for fit in fits:
+            alike.setdefault((fit.recording, largest.unit[fit.channel], fit.force.span_rpm), []).append(fit)
+        for _, group in sorted(alike.items(), key=lambda pair: pair[0]):
+            matters = EXCLUSION.matters_share * max(largest.of_channel.get(fit.channel, 0.0) for fit in group)
             bands += _amplified(group, number, modal, what, matters=matters, settings=settings)
     return bands
 
@@ -442,10 +439,8 @@ def lone_peaks(
     orders: Sequence[AgreedOrder],
     modal: ModalFit,
     avoided: Sequence[AvoidedSpeed],
+    largest: Sizes,
     *,
-    largest: Mapping[str, float],
-    in_unit: Mapping[str, float],
-    unit: Mapping[str, str],
     factor: float,
     sweep_rpm_per_s: float = 0.0,
 ) -> list[AvoidedSpeed]:
@@ -454,8 +449,8 @@ def lone_peaks(
     Of each channel of each of the ``orders`` the largest amplitude of its neighbourhood, by the lower end of its
     interval, over the middling ones of the speeds on either side. Those that the speeds ``avoided`` of the same
     order hold are left out, and what is small beside the ``largest`` amplitude of its channel. The amplitude is the
-    largest there of all channels of the same ``unit``; its share of the largest of any order there (``in_unit``)
-    ranks it. Its range ends half way to the speeds beside, in a sweep where a mode that it passes may have left it: so
+    largest there of all channels of the same unit; its share of the largest of any order there ranks it. Its range
+    ends half way to the speeds beside, in a sweep where a mode that it passes may have left it: so
     many hertz beside as the root of the hertz per second that ``sweep_rpm_per_s`` makes of it (Lewis 1932). The natural
     frequency is that of the ``modal`` fit between the neighbouring speeds; where there is none, that at which the order
     peaks.
@@ -466,12 +461,12 @@ def lone_peaks(
             (line, place, ratio)
             for line in agreed.lines
             for place, ratio in _lone_peaks_of(line, factor)
-            if line.amplitude[place] >= EXCLUSION.matters_share * largest.get(line.channel, 0.0)
+            if line.amplitude[place] >= EXCLUSION.matters_share * largest.of_channel[line.channel]
         ]
         for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
             order, rpm = agreed.order, float(line.speed_rpm[place])
             low, high = rpm - LONE_NUMBERS.same_row_share * rpm, rpm + LONE_NUMBERS.same_row_share * rpm
-            alike = [other for other in agreed.lines if unit[other.channel] == unit[line.channel]]
+            alike = [other for other in agreed.lines if largest.unit[other.channel] == largest.unit[line.channel]]
             there = [(other.channel, seen) for other in alike if (seen := reported_within(other, low, high))]
             channel, worst = max(there, key=lambda of_channel: of_channel[1].amplitude)
             below = float(line.speed_rpm[line.speed_rpm < rpm].max())
@@ -493,11 +488,15 @@ def lone_peaks(
                 amplitude_ci95=(worst.low, worst.high),
                 at_least=True,
                 amplification=ratio,
-                cost=worst.amplitude / max(in_unit.get(channel, 0.0), worst.amplitude),
+                cost=worst.amplitude / max(largest.in_unit(channel), worst.amplitude),
                 reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",
             )
-            reach = 1.0 if line.n_independent is None else 1.0 + LONE_NUMBERS.around_share
-            if not any(_holds(other, peak, reach) for other in (*avoided, *lone)):
+            # one peak of an order is told once: where its range, or one beside it, is told already
+            (begin, end), reach = _range(peak), 1.0
+            if line.n_independent is not None:
+                reach += LONE_NUMBERS.around_share
+            same = [other for other in (*avoided, *lone) if any(_is_order(order, mine) for mine in other.orders)]
+            if not any(_range(other)[0] <= reach * end and begin <= reach * _range(other)[1] for other in same):
                 lone.append(peak)
     return lone
 
@@ -518,10 +517,3 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
         if beside > 0.0 and least[place] >= factor * beside:
             peaks.append((int(rank[place]), float(size[place]) / beside))
     return peaks
-
-
-def _holds(other: AvoidedSpeed, peak: AvoidedSpeed, reach: float) -> bool:
-    """Whether ``other`` speaks of the same order between the same speeds, or ``reach`` times beside."""
-    alike = any(abs(order - peak.order) <= 1e-3 * peak.order for order in other.orders)
-    (low, high), (least, most) = _range(peak), _range(other)
-    return alike and least <= reach * high and low <= reach * most

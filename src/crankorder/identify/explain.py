@@ -9,21 +9,11 @@ import numpy as np
 
 from crankorder.cause import Cause, CauseKind, alike_speeds, of_mains, of_order
 from crankorder.findings import BearingFinding, Lock
-from crankorder.identify.causes.sidebands import (
-    BY_ITSELF,
-    LineCauses,
-    StruckRace,
-    explain_families,
-    race_cause,
-    sideband_of,
-    sidebands,
-    spacings_of,
-    struck_races,
-)
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.lines.growth import NO_MOTION, largest, order_one
 from crankorder.identify.lines.known_lines import LineSeen, named_by
 from crankorder.identify.lines.line_evidence import ShownAlias
+from crankorder.identify.lines.line_phasors import nearest_multiple
 from crankorder.identify.lines.mains import mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.machine_model import (
     CycleForce,
@@ -35,6 +25,17 @@ from crankorder.identify.machine_model import (
     parts_at,
 )
 from crankorder.identify.modes.tones import NUMBERS as TONES
+from crankorder.identify.sidebands import (
+    BY_ITSELF,
+    LineCauses,
+    StruckRace,
+    explain_families,
+    race_cause,
+    sideband_of,
+    sidebands,
+    spacings_of,
+    struck_races,
+)
 from crankorder.orders.intervals import half_width
 from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -87,7 +88,8 @@ class Beside:
 class _Test:
     """What the rules know of a test: its ``orders``, the machine, and what was found of it before.
 
-    ``races`` that are struck, ``folds`` that show, ``forces`` of gas and masses, ``modes``.
+    ``races`` that are struck, ``folds`` that show, ``forces`` of gas and masses, ``modes``; ``of_cycle`` by order the
+    multiple of the cycle's order that it is or may be, or None.
     """
 
     orders: AgreedOrders
@@ -96,6 +98,7 @@ class _Test:
     folds: Sequence[ShownAlias]
     forces: dict[tuple[str, float], CycleForce]
     modes: Sequence[Mode]
+    of_cycle: dict[float, float | None]
 
 
 @dataclass(frozen=True)
@@ -146,63 +149,63 @@ def explained(
     """
     causes, beside = LineCauses(), beside or Beside()
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
-    test = _Test(orders, sources, races, beside.folds, _forces_of_cycle(orders, sources), modal.modes)
     of_cycle = {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders}
+    forces = _forces_of_cycle(orders, of_cycle, sources)
+    test = _Test(orders, sources, races, beside.folds, forces, modal.modes, of_cycle)
     for agreed in orders:
-        at = _stated_parts(agreed, bearings, sources)
+        at = _stated_parts(agreed, bearings, test)
         for line in agreed.lines:
             key = line.channel, agreed.order
             pressure = line.channel in beside.in_cylinder
-            grown, what = beside.rows.get(key, line), quantity[line.channel]
-            known_of = _Line(agreed, grown, at, of_cycle[agreed.order], what, pressure)
+            known_of = _Line(agreed, beside.rows.get(key, line), at, of_cycle[agreed.order], quantity[key[0]], pressure)
             by_rules = (cause for rule in RULES if (cause := rule(known_of, test)) is not None)
             causes[key] = next(by_rules, None) or _unexplained(known_of, test)
     swung = beside.of_swing.items()
     causes |= {key: cause for key, cause in swung if causes[key].is_just(*BY_ITSELF, *OF_NUMBER)}
-    # lines of the mains and of the motor, with what else each may be where the data do not tell
-    unparted = {agreed.order: _unparted(agreed, sources.revs_per_cycle, beside.longest_rev) for agreed in orders}
-    mains = [tone for tone in modal.tones if tone.kind == "mains"]
-    exact = [order for order, multiple in unparted.items() if multiple is not None]
+    causes |= _electric(causes, test, modal.tones, beside, settings)
+    spacings, modes_hz = spacings_of(sources, bearings), [mode.frequency_hz for mode in modal.modes]
+    causes |= explain_families(orders, causes, of_cycle, spacings=spacings, modes_hz=modes_hz, of_swing=beside.of_swing)
+    rpm = _one_speed(orders)
+    modes = tuple(_of_mode(mode, races, rpm) for mode in modal.modes)
+    return Causes(causes, modes, _explained_tones(modal.tones, test, rpm, beside.known, settings))
+
+
+def _electric(
+    causes: LineCauses, test: _Test, tones: Sequence[Tone], beside: Beside, settings: IdentifySettings
+) -> LineCauses:
+    """Those of ``causes`` that change where a line is one of the mains or the motor, or may be: both if they coincide.
+
+    A line is or may be a multiple of the cycle also where no recording parts it from one beside it.
+    """
+    of_cycle, per_rev = dict(test.of_cycle), test.machine.revs_per_cycle
+    for agreed in test.orders if np.isfinite(beside.longest_rev) else ():
+        nearest = nearest_multiple(agreed.order, revs_per_cycle=per_rev)
+        near = abs(agreed.order - nearest) * beside.longest_rev < JOINT_LINES.apart_cycles
+        if near and of_cycle[agreed.order] is None and agreed.lock == "undecided":
+            of_cycle[agreed.order] = nearest
+    mains = [tone for tone in tones if tone.kind == "mains"]
+    exact = [order for order, multiple in of_cycle.items() if multiple is not None]
     # what errors of the angle may make beside a strong order has a cause that nothing tells from mains
-    lines = tuple(agreed for agreed in orders if not agreed.of_angle)
-    electric = mains_orders(lines, tones=mains, exact=exact, settings=settings)
-    sure: set[float] = set()
-    for agreed in orders:
+    lines = tuple(agreed for agreed in test.orders if not agreed.of_angle)
+    electric, sure = mains_orders(lines, tones=mains, exact=exact, settings=settings), set[float]()
+    for agreed in test.orders:
         seen = named_by(beside.known, agreed)
         in_doubt = agreed.order in electric and "another tone" in electric[agreed.order].kinds
         if seen is not None and not in_doubt:
             where = f"{seen.hertz:.6g} Hz at {seen.held.rpm:.5g} rpm"
             electric[agreed.order] = seen.cause(f"{where}, where it was expected")
-            if seen.alone:
-                sure.add(agreed.order)
-    causes |= {
-        (channel, order): _with_electric(cause, electric[order], unparted[order], order in sure)
-        for (channel, order), cause in causes.items()
-        if order in electric
-    }
-    spacings, modes_hz = spacings_of(sources, bearings), [mode.frequency_hz for mode in modal.modes]
-    causes |= explain_families(orders, causes, of_cycle, spacings=spacings, modes_hz=modes_hz, of_swing=beside.of_swing)
-    rpm = _one_speed(orders)
-    modes = tuple(_of_mode(mode, races, rpm) for mode in modal.modes)
-    return Causes(causes, modes, _explained_tones(modal.tones, races, sources.gears, rpm, beside.known, settings))
-
-
-def _with_electric(cause: Cause, electric: Cause, of_cycle: float | None, sure: bool) -> Cause:
-    """Cause of a line that by itself is a ``cause`` and may be ``electric``; both where they coincide."""
-    if not cause.known or (sure and cause.is_just(*OF_NUMBER)):
-        return electric if sure or of_cycle is None else electric.either(of_order(f"order {of_cycle:g}"))
-    if of_cycle is None or cause.is_just(*OF_NUMBER) or sure:
-        return replace(cause.either(electric), evidence=f"{electric.evidence}; {cause.evidence}")
-    return cause
-
-
-def _unparted(agreed: AgreedOrder, revs_per_cycle: int, longest_rev: float) -> float | None:
-    """:func:`multiple_of_cycle`, or that beside which ``agreed`` may be two lines that no recording parts."""
-    multiple = multiple_of_cycle(agreed, revs_per_cycle)
-    if multiple is not None or agreed.lock != "undecided" or not np.isfinite(longest_rev):
-        return multiple
-    nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
-    return nearest if abs(agreed.order - nearest) * longest_rev < JOINT_LINES.apart_cycles else None
+            sure |= {agreed.order} if seen.alone else set()
+    changed = LineCauses()
+    for (channel, order), cause in causes.items():
+        maker, multiple, is_sure = electric.get(order), of_cycle[order], order in sure
+        if maker is None:
+            continue
+        if not cause.known or (is_sure and cause.is_just(*OF_NUMBER)):
+            either = is_sure or multiple is None
+            changed[channel, order] = maker if either else maker.either(of_order(f"order {multiple:g}"))
+        elif multiple is None or cause.is_just(*OF_NUMBER) or is_sure:
+            changed[channel, order] = replace(cause.either(maker), evidence=f"{maker.evidence}; {cause.evidence}")
+    return changed
 
 
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
@@ -211,7 +214,7 @@ def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
     A line that slips is none; one that is undecided is, if its 95 % interval holds it and would not hold one of four
     lines that lie anywhere. What errors of the crank angle may have made is none.
     """
-    nearest, apart = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle, 1.0 / revs_per_cycle
+    nearest, apart = nearest_multiple(agreed.order, revs_per_cycle=revs_per_cycle), 1.0 / revs_per_cycle
     if agreed.lock == "locked" and abs(agreed.order - nearest) < 0.25 * apart:
         return nearest
     half = half_width(agreed.degrees_of_freedom) * agreed.order_error + 1e-9
@@ -227,16 +230,16 @@ def _gas_in_pressure(of: _Line, test: _Test) -> Cause | None:
     return Cause("gas cycle", f"order {of.of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {of.proof}")
 
 
-def _forces_of_cycle(orders: AgreedOrders, sources: MachineModel) -> dict[tuple[str, float], CycleForce]:
+def _forces_of_cycle(
+    orders: AgreedOrders, of_cycle: dict[float, float | None], sources: MachineModel
+) -> dict[tuple[str, float], CycleForce]:
     """Gas and inertia by channel and order, at the speed where each line is largest; empty without gas or engine."""
     if sources.engine is None or not sources.firing:
         return {}
-    of_cycle = [(multiple_of_cycle(agreed, sources.revs_per_cycle), agreed) for agreed in orders]
-    lines = [(number, agreed.order, line) for number, agreed in of_cycle if number is not None for line in agreed.lines]
-    forces = cycle_forces(sources.engine, [(number, largest(line).speed_rpm) for number, _, line in lines])
-    return {
-        (line.channel, order): force for (_, order, line), force in zip(lines, forces, strict=True) if force is not None
-    }
+    numbered = [(agreed, number) for agreed in orders if (number := of_cycle[agreed.order]) is not None]
+    lines = [(line.channel, agreed.order, number, line) for agreed, number in numbered for line in agreed.lines]
+    forces = cycle_forces(sources.engine, [(number, largest(line).speed_rpm) for *_, number, line in lines])
+    return {(channel, order): force for (channel, order, *_), force in zip(lines, forces, strict=True) if force}
 
 
 def _gas_or_masses(of: _Line, test: _Test) -> Cause | None:
@@ -265,22 +268,20 @@ def _kinematics(of: _Line, test: _Test) -> Cause | None:
     return Cause("engine kinematics", f"{masses}; {of.proof}")
 
 
-def _stated_parts(agreed: AgreedOrder, bearings: Sequence[BearingFinding], sources: MachineModel) -> PartsAt:
+def _stated_parts(agreed: AgreedOrder, bearings: Sequence[BearingFinding], test: _Test) -> PartsAt:
     """The stated gears, and the lines of bearings by their records, that have a multiple where ``agreed`` lies.
 
     Of a bearing only the line itself may be a multiple of the cycle's order: some multiple of a rolling line is near
     one by chance.
     """
-    of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
-    elements = {bearing.name: bearing.rolling_elements for bearing in sources.bearings}
-    parts = [*sources.gears]
+    elements = {bearing.name: bearing.rolling_elements for bearing in test.machine.bearings}
+    parts, locked = [*test.machine.gears], agreed.lock == "locked"
     for record in bearings:
-        locked_line = record.line == "N*fs"
-        if agreed.lock == "locked" and not locked_line:
+        if locked and record.line != "N*fs":
             continue  # what rolls slips: a locked line is no race's and no ball's
         part = StatedPart("bearing", f"{record.name} {record.line}", record.order, record.order_half)
-        alone = of_cycle is not None or record.seen_in == "envelope"
-        like = elements.get(record.name) if agreed.lock == "locked" else None
+        alone = test.of_cycle[agreed.order] is not None or record.seen_in == "envelope"
+        like = elements.get(record.name) if locked else None
         parts.append(replace(part, most=1 if alone else part.most, elements=like))
     return parts_at(parts, agreed)
 
@@ -334,8 +335,7 @@ def _half_order(of: _Line, test: _Test) -> Cause | None:
     cycle = of.of_cycle
     if cycle is None or test.machine.revs_per_cycle != 2 or cycle == round(cycle):
         return None
-    multiples = [multiple_of_cycle(agreed, 2) for agreed in test.orders]
-    family = sorted({m for m in multiples if m is not None and m != round(m)})
+    family = sorted({m for m in test.of_cycle.values() if m is not None and m != round(m)})
     if test.machine.engine_orders and len(family) < 2:
         return None
     listed = ", ".join(f"{m:g}" for m in family[:6])
@@ -387,16 +387,11 @@ def _one_speed(orders: Sequence[AgreedOrder]) -> float | None:
 
 
 def _explained_tones(
-    tones: tuple[Tone, ...],
-    races: list[StruckRace],
-    gears: Sequence[StatedPart],
-    rpm: float | None,
-    known: Sequence[LineSeen],
-    settings: IdentifySettings,
+    tones: tuple[Tone, ...], test: _Test, rpm: float | None, known: Sequence[LineSeen], settings: IdentifySettings
 ) -> tuple[Cause, ...]:
-    """Mains, ``gears``, orders that no speed tells from tones, harmonics of ``races``, sidebands; the rest are tones.
+    """Mains, gears, orders that no speed tells from tones, harmonics of races, sidebands; the rest are tones.
 
-    ``rpm``: of a test at one speed, else None; ``known``: lines of the motor; ``settings``: the mains frequencies.
+    ``rpm``: of a ``test`` at one speed, else None; ``known``: lines of the motor; ``settings``: the mains frequencies.
     """
     sizes = [max((amplitude for amplitude, _ in tone.amplitude.values()), default=0.0) for tone in tones]
     places = [tone.frequency_hz for tone in tones]
@@ -408,24 +403,20 @@ def _explained_tones(
     causes = []
     for number, tone in enumerate(tones):
         band = of.get(number)
-        cause = _race_of_tone(tone, races, rpm)
+        cause = _race_of_tone(tone, test.races, rpm)
         if cause is None and tone.kind == "tone" and band is not None:
             evidence = f"one of a pair about a stronger tone; chance {band.chance:.1g}"
             cause = sideband_of(places[band.carrier], band.spacing, evidence, unit=" Hz")
         if cause is None:
             cause = _tone_cause(tone, known, supply, settings)
             if rpm is not None and cause.is_just("tone", "order"):
-                cause = _gear_of_tone(tone, gears, rpm) or cause
+                # the stated mesh of which it is a multiple at that speed, as well as this is held
+                order, error = (hertz * 60.0 / rpm for hertz in (tone.frequency_hz, tone.frequency_error_hz))
+                error += TONES.speed_spread_share * order / NUMBERS.same_sigmas
+                at = parts_at(test.machine.gears, AgreedOrder(order, error, np.inf, "undecided", None, ()))
+                cause = _stated(at, "gear mesh", tone.evidence) or cause
         causes.append(cause)
     return tuple(causes)
-
-
-def _gear_of_tone(tone: Tone, gears: Sequence[StatedPart], rpm: float) -> Cause | None:
-    """The stated mesh of which a ``tone`` is a multiple at the only speed ``rpm`` of a test, as well as it is held."""
-    order, error = (hertz * 60.0 / rpm for hertz in (tone.frequency_hz, tone.frequency_error_hz))
-    error += TONES.speed_spread_share * order / NUMBERS.same_sigmas
-    at = parts_at(gears, AgreedOrder(order, error, np.inf, "undecided", None, ()))
-    return _stated(at, "gear mesh", tone.evidence)
 
 
 def _tone_cause(tone: Tone, known: Sequence[LineSeen], supply_hz: float | None, settings: IdentifySettings) -> Cause:

@@ -61,43 +61,28 @@ def sidebands(
     sides : which lines may be sidebands; all where it is None. Lines on one grid, as the multiples of a shaft's order,
         lie alike far from many others by nature and prove nothing
     """
-    order = np.argsort(-np.asarray(amplitudes))
     bands: dict[int, Sideband] = {}
-    for carrier in order.tolist():
+    for carrier in np.argsort(-np.asarray(amplitudes)).tolist():
         if carrier in bands:
             continue
-        may = [(sides is None or sides[k]) and amplitudes[k] < amplitudes[carrier] for k in range(len(places))]
-        for pair in _pairs(carrier, places, errors, may, spacings, highest):
-            for side in pair:
-                bands.setdefault(side.at, side)
+        lower = [k for k, size in enumerate(amplitudes) if size < amplitudes[carrier] and (sides is None or sides[k])]
+        below = [k for k in lower if places[k] < places[carrier]]
+        above = [k for k in lower if places[k] > places[carrier]]
+        pairs = list[Sideband]()
+        for low, high in product(below, above):
+            spacing, side_error = 0.5 * (places[high] - places[low]), 0.5 * math.hypot(errors[high], errors[low])
+            error = math.hypot(side_error, errors[carrier])
+            lopsided = abs(places[carrier] - 0.5 * (places[high] + places[low]))
+            if lopsided > NUMBERS.same_sigmas * error or places[carrier] < NUMBERS.carrier_spacings * spacing:
+                continue
+            name, multiple = _known(spacing, side_error, spacings)
+            # so many pairs as there are, each with its middle anywhere, would sit so often on this carrier
+            chance = len(below) * len(above) * min(1.0, 2.0 * NUMBERS.same_sigmas * error / highest)
+            if name or chance < NUMBERS.family_chance:
+                pairs += [Sideband(at, carrier, spacing / multiple, multiple, name, chance) for at in (low, high)]
+        for side in sorted(pairs, key=lambda band: (not band.spacing_name, band.multiple, band.spacing)):
+            bands.setdefault(side.at, side)
     return [bands[at] for at in sorted(bands)]
-
-
-def _pairs(
-    carrier: int,
-    places: Sequence[float],
-    errors: Sequence[float],
-    may: Sequence[bool],
-    spacings: dict[str, float],
-    highest: float,
-) -> list[tuple[Sideband, Sideband]]:
-    """Pairs of lines alike far below and above ``carrier``, of those that ``may`` be its sidebands."""
-    below = [k for k in range(len(places)) if may[k] and places[k] < places[carrier]]
-    above = [k for k in range(len(places)) if may[k] and places[k] > places[carrier]]
-    pairs = []
-    for low, high in product(below, above):
-        spacing = 0.5 * (places[high] - places[low])
-        error = float(np.sqrt(0.25 * (errors[high] ** 2 + errors[low] ** 2) + errors[carrier] ** 2))
-        lopsided = abs(places[carrier] - 0.5 * (places[high] + places[low]))
-        if lopsided > NUMBERS.same_sigmas * error or places[carrier] < NUMBERS.carrier_spacings * spacing:
-            continue
-        name, multiple = _known(spacing, 0.5 * float(np.hypot(errors[high], errors[low])), spacings)
-        # so many pairs as there are, each with its middle anywhere, would sit so often on this carrier
-        chance = len(below) * len(above) * min(1.0, 2.0 * NUMBERS.same_sigmas * error / highest)
-        if name or chance < NUMBERS.family_chance:
-            of_carrier = (carrier, spacing / multiple, multiple, name, chance)
-            pairs.append((Sideband(low, *of_carrier), Sideband(high, *of_carrier)))
-    return sorted(pairs, key=lambda pair: (not pair[0].spacing_name, pair[0].multiple, pair[0].spacing))
 
 
 def _known(spacing: float, error: float, spacings: dict[str, float]) -> tuple[str, int]:
@@ -151,8 +136,7 @@ def other_shafts(places: Sequence[float], errors: Sequence[float]) -> dict[int, 
     has its first order and its second at least; the slowest that explains most lines is taken, where lines that lie
     anywhere would make less than 5 % of such a family.
     """
-    order = np.argsort(places).tolist()
-    harmonics: dict[int, tuple[int, int]] = {}
+    order, harmonics = np.argsort(places).tolist(), dict[int, tuple[int, int]]()
     for first in order:
         if first in harmonics:
             continue
@@ -280,18 +264,17 @@ def _shafts(
 ) -> LineCauses:
     """Lines not locked to the shaft, in whole ratios to one another: those of another shaft."""
 
-    def open_lines(agreed: AgreedOrder) -> list[tuple[str, float]]:
-        keys = [(line.channel, agreed.order) for line in agreed.lines]
-        return [key for key in keys if causes[key].is_just("unexplained") and key not in families]
-
-    free = [agreed for agreed in orders if of_cycle[agreed.order] is None and open_lines(agreed)]
-    harmonics = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
-    shafts: LineCauses = {}
-    has_first = any(
-        abs(agreed.order - 1.0) < FAMILY_NUMBERS.first_reach_orders
-        and not any("mains" in causes[line.channel, agreed.order].kinds for line in agreed.lines)
+    opened = {
+        agreed.order: [key for line in agreed.lines if (key := (line.channel, agreed.order)) not in families]
         for agreed in orders
-    )
+        if of_cycle[agreed.order] is None
+    }
+    opened = {order: [key for key in keys if causes[key].is_just("unexplained")] for order, keys in opened.items()}
+    free = [agreed for agreed in orders if opened.get(agreed.order)]
+    harmonics = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
+    shafts, reach = LineCauses(), FAMILY_NUMBERS.first_reach_orders
+    near_first = [[causes[line.channel, a.order] for line in a.lines] for a in orders if abs(a.order - 1.0) < reach]
+    has_first = any(not any("mains" in cause.kinds for cause in of_lines) for of_lines in near_first)
     speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.doubts for agreed in free)
     for at, (first, multiple) in harmonics.items():
         base = free[first].order
@@ -302,7 +285,7 @@ def _shafts(
         harmonic = "" if multiple == 1 else f"harmonic {multiple} of "
         kind: CauseKind = "stated shaft" if speed_may_be_wrong else "another shaft"
         cause = Cause(kind, evidence, {"harmonic": harmonic, "ratio": base})
-        shafts |= dict.fromkeys(open_lines(free[at]), cause)
+        shafts |= dict.fromkeys(opened[free[at].order], cause)
     return shafts
 
 
@@ -471,10 +454,8 @@ def _likely_swings(orders: Sequence[AgreedOrder], count: int, highest: float) ->
     likely = np.zeros(count)
     for at in range(1, SWING_NUMBERS.most_half_orders + 1):
         places = [place for place in (number - 0.5 * at, number + 0.5 * at) if 0.0 < place <= highest]
-        sides = [
-            max((size for order, size in own if abs(order - place) < 0.5 * WHOLE_HALVES), default=0.0)
-            for place in places
-        ]
+        near = [[size for order, size in own if abs(order - place) < 0.5 * WHOLE_HALVES] for place in places]
+        sides = [max(sizes, default=0.0) for sizes in near]
         answered = SWING_NUMBERS.answer_ratio * min(sides, default=0.0) / turned
         likely[at] = min(answered, SWING_NUMBERS.most_share / (np.pi * at))
     return likely
@@ -489,13 +470,12 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
     encoder leaves π n ε. What the order itself has where the speed brings it to the frequency of the sideband tells the
     response there. ``frames`` (OrderFrames) say how the angle swings.
     """
-    causes: dict[tuple[str, float], Cause] = {}
+    causes = LineCauses()
     if not orders:
         return causes
     swings = AngleSwings.of(frames, orders)
     for agreed in orders:
-        of_order: dict[tuple[str, float], Cause] = {}
-        within = 0
+        of_order, within = LineCauses(), 0
         for line in agreed.lines:
             beside = [(other.order, item) for other in orders for item in other.lines if item.channel == line.channel]
             others = [pair for pair in beside if pair[1] is not line]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from crankorder.orders.envelope_combs import (
     over_skirts,
 )
 from crankorder.orders.intervals import half_width
-from crankorder.quantities import Bools, Floats, Ints
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
 PLACE_NUMBERS = MethodNumbers("5-identify-bearings.toml", "places")
@@ -337,11 +338,15 @@ def _line(
         channel, speed = map(int, np.unravel_index(np.argmax(look.ratio[:, :, span.start + at]), seen.shape))
     peak = span.start + at
     order, error, freedom = _order(spectra, look.ratio, seen, mean, peak, total)
-    strength = float(look.ratio[channel, speed, peak])
-    size = float(look.amplitude[channel, speed, peak])
-    multiples, spacing = _family(spectra, place, order, channel, speed)
+    strength, size = (float(values[channel, speed, peak]) for values in (look.ratio, look.amplitude))
     own = [other for other in places if other.name == place.name]
     shown = look.raw[channel, speed] if seen.any() else spectra.mean(look.raw)[0]
+    stands_at = partial(_stands, spectra, look.ratio, channel=channel, speed=speed)
+    spacing = place.spacing
+    if spacing is not None:
+        sides = [stands_at(times * order + side * spacing) for times in (1, 2) for side in (-1, 1)]
+        told = spacing >= 3.0 * float(spectra.cell[speed]) and (any(sides[:2]) or all(sides[2:]))
+        spacing = spacing if told else None
     return EnvelopeLine(
         place=place,
         order=order,
@@ -354,7 +359,7 @@ def _line(
         amplitude_error=0.25 * size * math.sqrt(2.0 / max(strength * spectra.count[channel, speed], 1e-9)),
         chance=min(float(alone.min()), float(together.min())),
         seen=seen,
-        harmonics=multiples,
+        harmonics=sum(stands_at(times * order) for times in range(1, NUMBERS.harmonics + 1)),
         sidebands=spacing,
         band_hz=(float(look.band_hz[speed, 0]), float(look.band_hz[speed, 1])),
         ranking=ranking(shown, float(step), spectra.free()[speed], own),
@@ -430,14 +435,16 @@ def _order(
 
     Each speed is a measurement of its own, for slip varies; channels of one recording share it.
     """
-    step = float(spectra.order[1])
-    speeds = np.flatnonzero(seen.any(axis=0))
+    step, speeds = float(spectra.order[1]), np.flatnonzero(seen.any(axis=0))
+    # revolutions that were recorded at each speed, over which random slips make a line wander
+    revs = 0.5 * (spectra.count.max(axis=0) + 1.0) / spectra.cell
     if not len(speeds):
         noise = float(spectra.cell.max()) * PLACE_ERROR[0] / math.sqrt(max(float(mean[peak]), 1.0) * total)
         order = (peak + parabola(mean, peak)) * step
-        return order, math.hypot(noise, _wander(spectra, order, np.arange(len(spectra.cell)))), math.inf
+        wander = NUMBERS.wander_share * math.sqrt(order / max(float(revs.sum()), 1.0))
+        return order, math.hypot(noise, wander), math.inf
     places, noises = np.array([_at_speed(spectra, ratio, seen, int(speed), peak) for speed in speeds]).T
-    wanders = np.array([_wander(spectra, peak * step, np.array([speed])) for speed in speeds])
+    wanders = NUMBERS.wander_share * np.sqrt(peak * step / np.maximum(revs[speeds], 1.0))
     weight = 1.0 / (noises**2 + wanders**2)
     order = float((weight * places).sum() / weight.sum())
     if len(speeds) < NUMBERS.least_speeds:
@@ -446,13 +453,6 @@ def _order(
     spread = float((weight * (places - order) ** 2).sum()) / freedom
     least = float((weight**2 * noises**2).sum()) / float(weight.sum())
     return order, math.sqrt(max(spread, least) / float(weight.sum())), freedom
-
-
-def _wander(spectra: Spectra, order: float, speeds: Ints) -> float:
-    """Standard error of the mean place of a line at ``order`` by random slips over what was recorded at ``speeds``."""
-    frames = spectra.count[:, speeds].max(axis=0)
-    revs = float((0.5 * (frames + 1.0) / spectra.cell[speeds]).sum())
-    return float(NUMBERS.wander_share * math.sqrt(order / max(revs, 1.0)))
 
 
 def _at_speed(spectra: Spectra, ratios: Floats, seen: Bools, speed: int, peak: int) -> tuple[float, float]:
@@ -469,18 +469,6 @@ def _at_speed(spectra: Spectra, ratios: Floats, seen: Bools, speed: int, peak: i
     frames = max(float(spectra.count[:, speed].max()), 1.0)
     error = cell * math.hypot(PLACE_ERROR[0], PLACE_ERROR[1] / math.sqrt(frames)) / math.sqrt(sum(weights))
     return float(np.average(places, weights=weights)), error
-
-
-def _family(spectra: Spectra, place: Place, order: float, channel: int, speed: int) -> tuple[int, float | None]:
-    """How many of the multiples of ``order`` (itself included) and whether sidebands stand over the floor."""
-    ratio = spectra.serving(place).ratio
-    multiples = sum(_stands(spectra, ratio, times * order, channel, speed) for times in range(1, NUMBERS.harmonics + 1))
-    spacing = place.spacing
-    if spacing is None or spacing < 3.0 * float(spectra.cell[speed]):
-        return multiples, None
-    beside = [times * order + side * spacing for times in (1, 2) for side in (-1, 1)]
-    both = [_stands(spectra, ratio, sideband, channel, speed) for sideband in beside]
-    return multiples, spacing if any(both[:2]) or all(both[2:]) else None
 
 
 def _stands(spectra: Spectra, ratio: Floats, order: float, channel: int, speed: int) -> bool:
@@ -544,8 +532,13 @@ def ranking(ratio: Floats, step: float, free: Bools, places: list[Place]) -> Ran
             best = int(np.nanargmax(mean))
             order, level_db = float(trials[best]), float(mean[best])
             if place.line == "FTF":
-                balls = [_off_cage(level, step, other, order) for other in places if other.line == "BSF"]
-                level_db = max(level_db - 2.0 * max(balls, default=0.0), 0.0)
+                # beyond what noise reaches, a rolling element's level off the multiples of the cage's order
+                noise_db, reach, balls = CANDIDATE_NUMBERS.noise_db, CANDIDATE_NUMBERS.off_bins * step, [0.0]
+                for ball in (other for other in places if other.line == "BSF"):
+                    at, levels = _course(level, step, ball)
+                    off = np.abs(at - order * np.round(at / order)) > reach
+                    balls.append(float(np.nanmax(np.where(off, levels, np.nan), initial=noise_db)) - noise_db)
+                level_db = max(level_db - 2.0 * max(balls), 0.0)
             candidates.append(Candidate(place, order, level_db))
     return Ranking(tuple(sorted(candidates, key=lambda candidate: -candidate.level_db)))
 
@@ -575,20 +568,10 @@ def _course(level: Floats, step: float, place: Place) -> tuple[Floats, Floats]:
     return trials, np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
 
 
-def _off_cage(level: Floats, step: float, place: Place, cage: float) -> float:
-    """Level in dB, beyond what noise reaches, of a rolling element ``place`` off the multiples of order ``cage``."""
-    trials, mean = _course(level, step, place)
-    off = np.abs(trials - cage * np.round(trials / cage)) > CANDIDATE_NUMBERS.off_bins * step
-    noise_db = CANDIDATE_NUMBERS.noise_db
-    return float(float(np.nanmax(np.where(off, mean, np.nan), initial=noise_db)) - noise_db)
-
-
 def _levels(level: Floats, step: float, orders: Floats, *, reach: int = 1) -> Floats:
     """Largest level within ``reach`` bins of each of ``orders``, NaN where the spectrum ends or does not count."""
     at = np.round(orders / step).astype(np.int64)
     inside = (at >= reach) & (at < len(level) - reach)
     near = np.clip(at, reach, len(level) - 1 - reach)
-    beside = level[near]
-    for away in range(1, reach + 1):
-        beside = np.fmax(beside, np.fmax(level[near - away], level[near + away]))
+    beside = np.fmax.reduce([level[near + away] for away in range(-reach, reach + 1)])
     return np.where(inside & np.isfinite(level[near]), beside, np.nan)

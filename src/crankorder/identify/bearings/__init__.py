@@ -1,1 +1,0 @@
-"""Bearing lines in the vibration and in its envelope, with slip, verdict and trend."""

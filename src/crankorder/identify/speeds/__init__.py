@@ -1,1 +1,0 @@
-"""Where orders meet natural frequencies, and which speeds to avoid, are free, or are left open."""
