@@ -21,8 +21,8 @@ from matplotlib.figure import Figure
 from published import publish, table
 from scipy.linalg import solveh_banded
 
-from crankorder.orders.vold_kalman.bandwidth import POLES
-from crankorder.orders.vold_kalman.filter import vold_kalman
+from crankorder.orders.filter_bandwidth import POLES
+from crankorder.orders.vold_kalman import vold_kalman
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")  # sdynpy opens Qt on import
 

@@ -12,9 +12,9 @@ from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.known_lines import held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.orders.frames import spectra_by_angle
 from crankorder.orders.joint_lines import HeldFrames, Place
 from crankorder.orders.map import order_map
-from crankorder.orders.spectra import spectra_by_angle
 from crankorder.settings import load_settings
 from made import recordings
 

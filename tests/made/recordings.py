@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.ingest.manifest import Manifest, load_manifest
-from crankorder.orders.vold_kalman.filter import vold_kalman
+from crankorder.orders.vold_kalman import vold_kalman
 from crankorder.quantities import check_dataset
 from crankorder.synth.write import toml_text
 

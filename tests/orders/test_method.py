@@ -7,9 +7,8 @@ import pytest
 
 from crankorder.errors import InputError, RequestError
 from crankorder.fft.decimation import band_limited
-from crankorder.orders.frames import order_frames
+from crankorder.orders.frames import order_frames, spectra
 from crankorder.orders.method import frame_layout, time_samples
-from crankorder.orders.spectra import spectra
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
@@ -85,7 +84,7 @@ def test_frames_that_touch_a_gap_are_missing_and_others_are_untouched():
 def test_a_long_run_up_is_done_in_pieces_that_leave_no_seam(monkeypatch):
     recording = run_up([SIGNAL], from_rpm=400, to_rpm=4000, duration_s=12.0, rate_hz=4000.0)
     whole = order_frames(*recording, settings=SETTINGS)
-    monkeypatch.setattr("crankorder.orders.spectra.CHUNK_SAMPLES", 1 << 12)
+    monkeypatch.setattr("crankorder.orders.frames.CHUNK_SAMPLES", 1 << 12)
     pieces = order_frames(*recording, settings=SETTINGS)
     assert worst_error(whole) < 1e-6
     np.testing.assert_allclose(pieces["spectrum"].values, whole["spectrum"].values, atol=5e-7, rtol=0)

@@ -17,6 +17,7 @@ from crankorder.fft.windows import power_of_two
 from crankorder.findings import Findings
 from crankorder.orders.averages import HeldSizes, SizeRows, beside_bins, noise_beside, noise_under
 from crankorder.orders.close_rows import ALIKE_BEATS, OrderRows, PartedRow, Stretch, parted_rows, with_parted
+from crankorder.orders.filter_bandwidth import NOISE_BANDWIDTH
 from crankorder.orders.fixed_lines import FixedLine
 from crankorder.orders.intervals import (
     Z95,
@@ -29,7 +30,6 @@ from crankorder.orders.joint_lines import HeldFrames, hann_lobe
 from crankorder.orders.like_speed import common_frames
 from crankorder.orders.swept_tracks import followed_error
 from crankorder.orders.true_angle import GIVEN, AngleErrors
-from crankorder.orders.vold_kalman.bandwidth import NOISE_BANDWIDTH
 from crankorder.quantities import Bools, Complexes, Floats, Ints, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
