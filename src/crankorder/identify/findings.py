@@ -14,7 +14,9 @@ from crankorder.findings import (
     SCHEMA_VERSION,
     Channel,
     CrossingFinding,
+    Energy,
     Findings,
+    Level,
     LineFinding,
     ModeFinding,
     OpenBand,
@@ -66,7 +68,7 @@ from crankorder.identify.sidebands import swing_sidebands
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.intervals import Z95, half_width, interval, positive_interval, size_interval
 from crankorder.orders.track_rows import TrackReader
-from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure
+from crankorder.quantities import Floats, QualityFlag, flags_of, is_cylinder_pressure
 from crankorder.records import Ends
 from crankorder.settings import MethodNumbers, Settings
 
@@ -110,8 +112,7 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
     asked, turns = settings.identify, sources.revs_per_cycle
     names = order_map["channel"].values.tolist()
     quantity, unit = (dict(zip(names, order_map[of].values.tolist(), strict=True)) for of in ("quantity", "unit"))
-    flags = [*flags_of(order_map)]
-    flags += [flag for flag in flags_of(campbell) if flag not in flags]
+    flags = [*flags_of(order_map), *(flag for flag in flags_of(campbell) if flag not in flags_of(order_map))]
     lines = _lines(measured, speed_doubt(flags), sources.motor, settings)
     modal, in_map, orders, doubt = lines.modal, lines.in_map, lines.orders, lines.doubt
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
@@ -123,9 +124,7 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
     causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, beside=beside)
     modal = with_neighbours_named(modal, in_map, causes)
 
-    speed = np.concatenate([each["speed"].values for each in (order_map, campbell)])
-    speed = speed[np.isfinite(speed)]
-    tested = (float(speed.min()), float(speed.max())) if speed.size else (np.nan, np.nan)
+    tested = _tested_rpm(order_map["speed"].values, campbell["speed"].values)
     rate = max((float(tracks.attrs.get("sweep_rpm_per_s", 0.0)) for tracks in followed), default=0.0)
     moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]
     met = crossings(moving, modal, speed_rpm=tested, settings=asked, stated=stated)
@@ -138,9 +137,7 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
         balance, reason = if_unbalance(balance, causes.orders.values())
     balance = graded(balance, sources, float(np.nanmax(order_map["speed"].values, initial=0.0)))
     energy, unexplained = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
-    of_channels = level_records(measured.levels)
-    above = {level.channel: level.share_above for level in of_channels}
-    shares = tuple(replace(share, above_band=above.get(share.channel)) for share in energy.channels)
+    levels = level_records(measured.levels)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     flags += alias_flags(order_map, settings=settings, folds=folds)
     flags += [*slow_flags(order_map, in_map, frames, settings=settings), *_search_flags(modal.left)]
@@ -161,8 +158,8 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
         motor=lines.motor,
         lines=line_records(records, modal, causes, channels=list(unit)),
         unexplained_energy_fraction=unexplained,
-        energy=replace(energy, channels=shares),
-        levels=of_channels,
+        energy=_with_share_above(energy, levels),
+        levels=levels,
         vibration_levels=() if vibration is None else vibration_records(vibration),
         third_octaves=() if vibration is None else third_octave_records(vibration),
         limits=() if vibration is None else limit_verdicts(vibration, balance, sources),
@@ -172,6 +169,20 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags),
     )
+
+
+def _tested_rpm(*speeds_rpm: Floats) -> tuple[float, float]:
+    """Lowest and highest known speed [rpm] of the axes ``speeds_rpm``, NaN where none is known."""
+    speed = np.concatenate(speeds_rpm)
+    known = speed[np.isfinite(speed)]
+    return (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
+
+
+def _with_share_above(energy: Energy, levels: Sequence[Level]) -> Energy:
+    """``energy`` with the share above the band of each channel, which its ``levels`` tell."""
+    above = {level.channel: level.share_above for level in levels}
+    channels = tuple(replace(share, above_band=above.get(share.channel)) for share in energy.channels)
+    return replace(energy, channels=channels)
 
 
 @dataclass(frozen=True)
