@@ -132,5 +132,8 @@ ALIKE_SPEEDS = 1.005
 
 
 def alike_speeds(speed_rpm: Floats | Sequence[float]) -> bool:
-    """Whether ``speed_rpm`` are so alike that a line of fixed frequency keeps its order; not where any is unknown."""
+    """Whether ``speed_rpm`` are so alike that a line of fixed frequency keeps its order; not where any is unknown.
+
+    ``speed_rpm``: (speeds,).
+    """
     return len(speed_rpm) > 0 and bool(np.max(speed_rpm) <= ALIKE_SPEEDS * np.min(speed_rpm))

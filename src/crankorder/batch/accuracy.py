@@ -382,7 +382,7 @@ class TwinRecording:
 
 
 def probe_orders(twin: Twin) -> Floats:
-    """Orders of the probes for ``twin``: on bins of its order map, clear of the test's and of half orders."""
+    """Orders (probes,) of the probes for ``twin``: on bins of its order map, clear of the test's and of half orders."""
     axis = twin.order_map["order"].values
     taken = np.unique(np.append(twin.tracks["order"].values, np.arange(0.0, axis[-1] + 1.0, 0.5)))
     own = twin.tracks["order"].values

@@ -116,7 +116,10 @@ def publish_comparison(
 
 
 def refuse_results(out: Path, folders: Sequence[Path]) -> None:
-    """Refuse an ``out`` that is one of results, of ``folders``, or inside: results are never replaced by others."""
+    """Refuse an ``out`` that is one of results, of ``folders``, or inside: results are never replaced by others.
+
+    Raises RequestError then.
+    """
     where = out.resolve()
     if out.exists() and not out.is_dir():
         raise RequestError("is a file, not a folder", file=out, remedy="Choose another --out")

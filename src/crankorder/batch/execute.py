@@ -469,7 +469,10 @@ Recordings = xr.Dataset | Sequence[xr.Dataset]
 
 
 def engine_of(name: str | None) -> Engine | None:
-    """The shipped engine ``name``, or that of a TOML file of this path; None without a name."""
+    """The shipped engine ``name``, or that of a TOML file of this path; None without a name.
+
+    Raises RequestError where there is neither.
+    """
     if name is not None and not isinstance(name, str):
         raise RequestError("an engine is a shipped name or a path", file="engine", found=repr(name))
     return None if name is None else load_engine(name)

@@ -31,9 +31,9 @@ def frame_speeds(
 ) -> tuple[Floats, Floats]:
     """Mean speed and change of speed from begin to end [rpm] (frames,) of frames of ``band``.
 
-    They are of ``length`` samples at ``rate_hz`` and begin at samples ``starts``. The mean is the revolutions that the
-    ``shaft`` made over the time they took; the change is twice the difference of the means of both halves, which uneven
-    running within a cycle does not reach.
+    They are of ``length`` samples at ``rate_hz`` and begin at samples ``starts`` (frames,). The mean is the revolutions
+    that the ``shaft`` made over the time they took; the change is twice the difference of the means of both halves,
+    which uneven running within a cycle does not reach.
     """
     if band.attrs["domain"] == "crank_angle":
         return np.full(len(starts), float(band.attrs.get("speed_rpm", math.nan))), np.zeros(len(starts))

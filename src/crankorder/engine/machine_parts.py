@@ -200,7 +200,10 @@ class Motor(EngineData):
         return (max(counts) + beside) * self.shaft_ratio if counts else 0.0
 
     def synchronous_rpm(self, supply_hz: float) -> float:
-        """Speed of the field in rpm of the motor's shaft at a supply of ``supply_hz``: 120 f / poles."""
+        """Speed of the field in rpm of the motor's shaft at a supply of ``supply_hz``: 120 f / poles.
+
+        Raises ValueError where the motor states no poles.
+        """
         if self.poles is None:
             raise ValueError("the poles of the motor are not stated")
         return 120.0 * supply_hz / self.poles

@@ -129,7 +129,7 @@ def _real(signals: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def frame_starts(n_samples: int, n_frame: int, hop: int) -> Ints:
-    """First samples of the whole frames of ``n_frame`` samples, ``hop`` apart, that fit into ``n_samples``."""
+    """First samples (frames,) of whole frames of ``n_frame`` samples, ``hop`` apart, that fit into ``n_samples``."""
     if n_samples < n_frame:
         return np.empty(0, dtype=np.int64)
     return np.arange(0, n_samples - n_frame + 1, max(1, hop), dtype=np.int64)
@@ -149,7 +149,7 @@ def counted(mask: Bools, begin: ArrayLike, end: ArrayLike) -> Ints:
 def whole_frames(usable: Bools, starts: Ints, n_frame: int) -> Bools:
     """Whether all samples of each frame can be used (channels, frames): the frames of ``n_frame`` from ``starts`` on.
 
-    ``usable`` (channels, samples) says which samples can.
+    ``starts``: (frames,). ``usable`` (channels, samples) says which samples can.
     """
     return np.asarray(counted(~usable, starts, starts + n_frame) == 0)
 
@@ -179,7 +179,7 @@ def band_gain(frequency_hz: Floats, low_hz: float, high_hz: float, *, half_octav
 
 
 def derivative_gain(frequency_hz: Floats, times: int) -> Complexes:
-    """Gain (n,) at each of ``frequency_hz`` of differentiating ``times`` times; negative integrates, 0 at 0 Hz."""
+    """Gain (n,) at ``frequency_hz`` (n,) of differentiating ``times`` times; negative integrates, 0 at 0 Hz."""
     turning = 2j * np.pi * frequency_hz
     gain = np.zeros(len(turning), dtype=np.complex128)
     np.power(turning, times, where=turning != 0.0, out=gain)

@@ -61,7 +61,7 @@ class Place:
         return 100.0 * (1.0 - order / self.expected)
 
     def cage_at(self, order: Floats) -> Floats | None:
-        """Order of the cage where the line is at ``order``; None where the bearing's data do not tell.
+        """Order of the cage where the line is at ``order`` (any shape); None where the bearing's data do not tell.
 
         The outer race is struck as often as elements pass, the inner one and an element as often as the shaft turns
         against the cage.
@@ -414,7 +414,8 @@ def _comb_chances(
 def parabola(ratio: Floats, at: int) -> float:
     """Where, in bins from ``at``, a parabola through a power of three of ``ratio`` has its top: right to 0.001 bins.
 
-    Source: K. J. Werner and F. G. Germain (2016), Applied Sciences 6, 306: the power that suits a Hann window.
+    ``ratio``: (bins,). Source: K. J. Werner and F. G. Germain (2016), Applied Sciences 6, 306: the power that suits a
+    Hann window.
     """
     if not 0 < at < len(ratio) - 1:
         return 0.0
@@ -521,7 +522,7 @@ def ranking(ratio: Floats, step: float, free: Bools, places: list[Place]) -> Ran
     level of a race, for a damaged cage or rolling element has lines there too; from that of a rolling element the
     multiple of the cage's order half way between its harmonics, where only a cage has one. What a rolling element makes
     off the multiples of the cage's order speaks against the cage, for the element comes and goes with it. Bins that are
-    not ``free`` do not count.
+    not ``free`` (orders,) do not count.
     """
     level = np.clip(10.0 * np.log10(np.maximum(ratio, 1e-12)), 0.0, CANDIDATE_NUMBERS.highest_db)
     level = np.where(free, level, np.nan)

@@ -110,7 +110,7 @@ def with_gaps(values: NDArray[Any], cells: Floats, *, empty: float = np.nan) -> 
 
 
 def bin_edges(centres: Floats) -> Floats:
-    """Edges of bins around ascending ``centres``, one more than these; the first and last bin are symmetric."""
+    """Edges (n + 1,) of bins around ascending ``centres`` (n,); the first and last bin are symmetric."""
     if len(centres) < 2:
         return np.array([centres[0] - 0.5, centres[0] + 0.5])
     middle = (centres[1:] + centres[:-1]) / 2
@@ -122,8 +122,8 @@ def pooled(values: NDArray[Any], edges: Floats, pixels: Floats, *, axis: int) ->
 
     A cell belongs to the pixels that begin in it, else to the one that it lies in, so that no line grows wider.
 
-    ``values`` (none of them NaN) of cells with ascending ``edges`` along ``axis``; ``pixels`` are the edges of the
-    pixels in the same unit, ascending or descending.
+    ``values`` (none of them NaN) of n cells with ascending ``edges`` (n + 1,) along ``axis``; ``pixels`` (m + 1,) are
+    the edges of the pixels in the same unit, ascending or descending.
     """
     if pixels[0] > pixels[-1]:
         return np.flip(pooled(values, edges, pixels[::-1], axis=axis), axis)
@@ -151,8 +151,8 @@ def level_limits(
 ) -> tuple[float, float]:
     """Ends of a colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range.
 
-    ``amplitude`` of a map, ``reference`` of its level in the same unit; ``range_db`` the greatest range, which may be
-    less than 20 dB where ``narrow``.
+    ``amplitude`` of a map (any shape), ``reference`` of its level in the same unit; ``range_db`` the greatest range,
+    which may be less than 20 dB where ``narrow``.
     """
     values = amplitude[amplitude > 0]
     if not len(values):
@@ -202,17 +202,23 @@ class LevelMap:
         return speed_cells(self.speed)
 
     def rpm(self, height: Floats | float) -> Floats:
-        """Speed at a ``height`` of the map: a strip of one speed has no other, however high it is drawn."""
+        """Speed at a ``height`` (any shape) of the map: a strip of one speed has no other, however high it is drawn."""
         alone = len(self.speed) == 1 and not self.timeless
         return np.asarray(self.speed[0] + 0.0 * np.asarray(height) if alone else height)
 
     def of_order(self, order: float, height: Floats | float) -> Floats:
-        """Abscissa of an ``order`` at the ordinate ``height``: its frequency [Hz], or itself on an order map."""
+        """Abscissa of an ``order`` at the ordinate ``height``: its frequency [Hz], or itself on an order map.
+
+        ``height``: any shape.
+        """
         rpm = self.rpm(height)
         return order + 0.0 * rpm if self.by_order else order * rpm / 60
 
     def of_hertz(self, hertz: Floats | float, height: Floats | float) -> Floats:
-        """Abscissa of a frequency ``hertz`` at the ordinate ``height``: itself, or its order on an order map."""
+        """Abscissa of a frequency ``hertz`` at the ordinate ``height``: itself, or its order on an order map.
+
+        ``hertz`` and ``height``: any shape.
+        """
         rpm = self.rpm(height)
         return 60 * hertz / rpm if self.by_order else hertz + 0.0 * rpm
 

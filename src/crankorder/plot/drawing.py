@@ -164,7 +164,7 @@ def quality_text(findings: Findings) -> str:
 
 
 def whole(places: Floats) -> Ints:
-    """``places`` rounded to whole pixels, a half upwards, as matplotlib snaps lines."""
+    """``places`` (any shape) rounded to whole pixels, a half upwards, as matplotlib snaps lines."""
     return np.asarray(np.floor(places + 0.5), dtype=np.int64)
 
 
@@ -190,7 +190,7 @@ class Panel:
     inches: Any = None
 
     def at(self, x: Floats | float, y: Floats | float) -> Floats:
-        """Places (n, 2) in inches of values ``x``, ``y``; values ≤ 0 of a logarithmic axis are NaN."""
+        """Places (n, 2) in inches of values ``x``, ``y`` (n,); values ≤ 0 of a logarithmic axis are NaN."""
         values = np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2).astype(float)
         if self.inches is not None:
             return np.asarray(self.inches.transform(values))
@@ -205,7 +205,10 @@ class Panel:
         return float(self.at(self.x[0], y)[0, 1])
 
     def curve(self, x: Floats, y: Floats, *, color: str, width: float = 1.3, **look: Any) -> None:
-        """Line through ``x``, ``y``: ``color``, ``width`` in points; ``look``: further fields of :class:`Stroke`."""
+        """Line through ``x``, ``y``: ``color``, ``width`` in points; ``look``: further fields of :class:`Stroke`.
+
+        ``x``, ``y``: (n,).
+        """
         values = (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
         self.drawing.add(Stroke(self.at(x, y), color, width, within=self.box, values=values, **look))
 
@@ -214,7 +217,7 @@ class Panel:
         self.curve(np.array([x, x]), np.array(self.y), color=color, width=width, square=True, **look)
 
     def band(self, x: Floats, low: Floats, high: Floats, *, color: str, alpha: float, name: str = "band") -> None:
-        """Area called ``name`` over ``x`` from ``low`` to ``high`` in ``color`` with opacity ``alpha``."""
+        """Area called ``name`` over ``x`` from ``low`` to ``high`` (n,) in ``color`` with opacity ``alpha``."""
         bottom = self.y[0] if self.log_y else -np.inf
         under, over = (self.at(x, np.where(np.isfinite(end), np.maximum(end, bottom), np.nan)) for end in (low, high))
         known = np.flatnonzero(np.isfinite(under + over).all(axis=1))
@@ -227,7 +230,7 @@ class Panel:
     def rings(self, x: Floats, y: Floats, *, color: str, radius: float, **look: Any) -> None:
         """Discs at ``x``, ``y`` in ``color``, whole where they touch the panel; circles where they have a ``width``.
 
-        ``radius`` in points; ``look``: further fields of :class:`Rings`.
+        ``x``, ``y``: (n,). ``radius`` in points; ``look``: further fields of :class:`Rings`.
         """
         places, (left, bottom, wide, high), by = self.at(x, y), self.box, radius / 72
         near = (np.abs(places - (left + wide / 2, bottom + high / 2)) <= (wide / 2 + by, high / 2 + by)).all(axis=1)
@@ -235,7 +238,7 @@ class Panel:
         self.drawing.add(Rings(places[near], radius, color, values=values, **look))
 
     def pixel_edges(self) -> tuple[Floats, Floats]:
-        """Edges, along and upwards and in values, of the pixels that a map over the panel has."""
+        """Edges (pixels + 1,), along and upwards and in values, of the pixels that a map over the panel has."""
         rows, columns = pixels_of(self.box, self.drawing.dpi)
         if self.inches is None:
             return np.linspace(*self.x, columns + 1), np.linspace(*self.y, rows + 1)
@@ -271,7 +274,7 @@ class Panel:
         named: bool = True,
         grid: bool = True,
     ) -> None:
-        """Ticks below at ``places``, or at most ``most`` round ones, ``whole`` numbers or not, and a ``label``.
+        """Ticks below at ``places`` (n,), or at most ``most`` round ones, ``whole`` numbers or not, and a ``label``.
 
         The ticks are ``named`` or bare; with a ``grid`` or without.
         """
@@ -324,7 +327,7 @@ class Panel:
 
 
 def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> Floats:
-    """Round places from ``low`` to ``high``, at most ``most`` + 1 of them, whole numbers where ``whole``."""
+    """Round places (n,) from ``low`` to ``high``, at most ``most`` + 1 of them, whole numbers where ``whole``."""
     raw = max((high - low) / max(most, 1), 1e-300)
     if whole:
         raw = max(raw, 1.0)
@@ -335,7 +338,7 @@ def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> 
 
 
 def linear_texts(places: Floats) -> list[str]:
-    """Texts of evenly spaced ``places``: decimals that tell them apart, powers of ten far off 1."""
+    """Texts of evenly spaced ``places`` (n,): decimals that tell them apart, powers of ten far off 1."""
     if not len(places):
         return []
     step = float(places[1] - places[0]) if len(places) > 1 else abs(float(places[0])) or 1.0
@@ -347,7 +350,7 @@ def linear_texts(places: Floats) -> list[str]:
 
 
 def log_ticks(low: float, high: float, *, most: int) -> Floats:
-    """Decades from ``low`` to ``high``, at most ``most``; 2 and 5 between where they are few."""
+    """Decades (n,) from ``low`` to ``high``, at most ``most``; 2 and 5 between where they are few."""
     decades = np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     stride = max(1, math.ceil(math.log10(high / low) / most))
     subs = (1.0, 2.0, 5.0) if math.log10(high / low) < FEW_DECADES else (1.0,)
@@ -357,7 +360,10 @@ def log_ticks(low: float, high: float, *, most: int) -> Floats:
 
 
 def log_limits(values: Floats, decades: float, *, room: float) -> tuple[float, float] | None:
-    """Ends of a logarithmic axis for the positive ``values``, at most ``decades`` and a factor ``room`` above them."""
+    """Ends of a logarithmic axis for the positive ``values``, at most ``decades`` and a factor ``room`` above them.
+
+    ``values``: any shape.
+    """
     positive = values[np.isfinite(values) & (values > 0)]
     if not len(positive):
         return None

@@ -413,7 +413,10 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
 def draw_speed(
     panel: Panel, time: Floats, speed: Floats, swing: tuple[Floats, Floats], color: str, *, name: str = "speed"
 ) -> None:
-    """Draw ``speed`` over ``time`` in ``panel`` as a line in ``color`` called ``name``, its ``swing`` as a band."""
+    """Draw ``speed`` over ``time`` in ``panel`` as a line in ``color`` called ``name``, its ``swing`` as a band.
+
+    ``time``, ``speed`` and both ends of ``swing``: (n,).
+    """
     panel.band(time, *swing, color=color, alpha=0.25)
     panel.curve(time, speed, color=color, name=name)
 

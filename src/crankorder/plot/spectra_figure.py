@@ -271,7 +271,7 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
 
 
 def ring_lines(panel: Panel, order: Floats, values: Floats, places: Sequence[float]) -> bool:
-    """Whether ``panel`` shows any line at ``places`` of a spectrum of ``values`` over ``order``; those are ringed.
+    """Whether ``panel`` shows any line at ``places`` of a spectrum of ``values`` over ``order`` (n,); those are ringed.
 
     A ring is as high as the highest bin within two of its place.
     """

@@ -324,9 +324,9 @@ def integration_for(highest_force_hz: float, rate_hz: float, tolerance: float) -
 def step_weights(pole_per_s: Complexes, step_s: float, integration: Integration) -> tuple[Complexes, Complexes]:
     """What a step of the output makes of the state, e^{λΔ} − 1 (pole,), and of the samples of the input (pole, tap).
 
-    ``pole_per_s``: λ. ``step_s``: between samples of the forces; Δ is ``substeps`` of them. ``integration``: its
-    stencil and substeps. Tap 0 is the sample stencil/2 − 1 before the step. The difference from 1 keeps the damping of
-    a lightly damped pole to full precision.
+    ``pole_per_s`` (pole,): λ. ``step_s``: between samples of the forces; Δ is ``substeps`` of them. ``integration``:
+    its stencil and substeps. Tap 0 is the sample stencil/2 − 1 before the step. The difference from 1 keeps the damping
+    of a lightly damped pole to full precision.
     """
     stencil, substeps = integration.stencil, integration.substeps
     nodes = np.arange(stencil) - (stencil // 2 - 1.0)
@@ -343,7 +343,7 @@ def step_weights(pole_per_s: Complexes, step_s: float, integration: Integration)
 
 
 def unit_quadrature(decay: float) -> tuple[Floats, Floats]:
-    """Points and weights on 0 … 1 that integrate to round-off what a step integrates.
+    """Points and weights (n,) on 0 … 1 that integrate to round-off what a step integrates.
 
     ``decay``: largest |λ|·step of the poles. Source: Gauss and Legendre.
     """
@@ -357,8 +357,9 @@ def advance(
     """Acceleration (channel, n) at the output samples, and the state (pole,) one output step behind the last.
 
     ``poles``: of structure and filter. ``force``: samples (axis, margin + n · substeps + margin), a step apart; the one
-    after the first margin falls on the first output sample. ``growth``, ``taps``: of :func:`step_weights`.
-    ``integration``: its margin, stencil and substeps. ``state`` (pole,): at the first output sample.
+    after the first margin falls on the first output sample. ``growth`` (pole,), ``taps`` (pole, tap): of
+    :func:`step_weights`. ``integration``: its margin, stencil and substeps. ``state`` (pole,): at the first output
+    sample.
     """
     margin, substeps = integration.stencil // 2, integration.substeps
     n_out = (force.shape[1] - 2 * margin) // substeps

@@ -96,7 +96,7 @@ def _true_turn(shown: Floats, encoder: Encoder) -> Floats:
 
 
 def encoder_turn(crank_rev: Floats, encoder: Encoder) -> Floats:
-    """Turns of the encoder's shaft, 0 at its first line, at the crank angles ``crank_rev``.
+    """Turns of the encoder's shaft, 0 at its first line, at the crank angles ``crank_rev`` (n,).
 
     ``encoder``: its ratio, and the angle from its index to top dead centre.
     """

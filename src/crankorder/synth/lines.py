@@ -105,7 +105,7 @@ def _lag(scene: Scene, run: Run) -> Lag:
 
 
 def gain_of_cycle(scene: Scene, run: Run) -> Callable[[Ints], Floats] | None:
-    """Factor of the gas torque in every cycle, by the cycle's number, or None where all cycles of ``run`` are alike.
+    """Factor (cycles,) of the gas torque by the cycle's number, or None where all cycles of ``run`` are alike.
 
     ``scene``: its scatter and seed. A cycle's factor does not depend on which others are asked for.
     """

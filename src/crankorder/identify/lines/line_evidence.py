@@ -210,8 +210,8 @@ def evidence_of(
     """What tells the line from a resonance that noise excites; None where nothing does.
 
     ``order_map`` is the OrderMap, ``ratio`` (speeds, orders) the energy of the ``channel`` over its floor, ``peak`` the
-    line's bin, ``seen`` the speeds at which it stands above the level; noise agrees in phase as well as a line that is
-    called locked with ``false_alarm_probability``.
+    line's bin, ``seen`` (n,) the speeds at which it stands above the level; noise agrees in phase as well as a line
+    that is called locked with ``false_alarm_probability``.
     """
     # a resonance excited by noise may stand out as far as a line does, but its phase wanders
     if _are_seldom(_log_chance_of_coherence(order_map, (channel, seen, peak)), false_alarm_probability):
@@ -267,7 +267,7 @@ def _are_seldom(log_chances: Floats | Sequence[float], false_alarm_probability: 
 def is_steady(order_map: xr.Dataset, channel: int, peak: int, seen: Ints, false_alarm_probability: float) -> bool:
     """Whether the amplitude is far steadier from frame to frame than noise: a line that slips, or whose speed drifts.
 
-    Of bin ``peak`` of the ``channel`` of ``order_map`` at the speeds ``seen``, with ``false_alarm_probability``.
+    Of bin ``peak`` of the ``channel`` of ``order_map`` at the speeds ``seen`` (n,), with ``false_alarm_probability``.
     Spectral kurtosis is 0 ± 2/sqrt(n) for n frames of noise and -1 for a line (Antoni 2006). Few frames cannot lie so
     many of these standard deviations below 0: for them the chance of so low a kurtosis itself tells.
     """
@@ -315,7 +315,7 @@ def _steadier_than_a_resonance(order_map: xr.Dataset, peak: int, at: int, kurtos
 
 
 def has_moved(order_map: xr.Dataset, peak: int, seen: Ints) -> bool:
-    """Whether a line of fixed frequency would have left its bin over the speeds ``seen``; True for a single speed.
+    """Whether a line of fixed frequency would have left its bin over the speeds ``seen`` (n,); True for a single speed.
 
     ``order_map`` is the OrderMap, ``peak`` the line's bin in it.
     """
@@ -421,7 +421,7 @@ def log_chance_of_phase(
 
 
 def best_offset(phasors: Complexes, turn: Floats, *, hop_rev: float) -> tuple[float, int]:
-    """Distance from the bin [orders] at which ``phasors`` (frames,) at ``turn`` [rev] keep to one axis best.
+    """Distance from the bin [orders] at which ``phasors`` at ``turn`` [rev] (frames,) keep to one axis best.
 
     And how many distances were tried; it is told up to half the reciprocal of ``hop_rev`` on each side.
     """

@@ -67,7 +67,7 @@ class Frames:
 
     @cached_property
     def turn(self) -> Floats:
-        """Crank angle [rev] of each frame from the middle of the recording."""
+        """Crank angle [rev] (frames,) of each frame from the middle of the recording."""
         return self.centre_rev - self.middle
 
     def noise_of(self, rows: Floats, offset: float) -> Floats:

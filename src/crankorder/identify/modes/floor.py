@@ -42,7 +42,7 @@ class SpectralWindow:
         return 1.0 / self.length_s
 
     def kernel(self, offset_hz: Floats) -> Floats:
-        """Power response per Hz, its integral over all offsets being one, at ``offset_hz`` from a tone."""
+        """Power response per Hz, its integral over all offsets being one, at ``offset_hz`` (any shape) from a tone."""
         real: Floats = 2.0 * _near(1e-4j + 2j * np.pi * self.length_s * np.abs(offset_hz), self)[0].real
         return real
 

@@ -57,7 +57,7 @@ def resonance(frequency_hz: Floats, natural_hz: Floats, damping_ratio: Floats) -
 def resonance_slopes(frequency_hz: Floats, natural_hz: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
     """Derivatives of h_j (K, M) = −x² / (1 − x² + 2iζx), x = f / f_j, by ln f_j and by ln ζ_j.
 
-    ``frequency_hz``: in Hz; ``natural_hz``: of the modes in Hz; ``damping``: their ratios.
+    ``frequency_hz`` (K,): in Hz; ``natural_hz`` (M,): of the modes in Hz; ``damping`` (M,): their ratios.
     """
     x = frequency_hz[:, None] / natural_hz
     over = 1.0 / (1.0 - x**2 + 2j * damping * x)
@@ -121,7 +121,7 @@ FRACTIONS = np.arange(CUTS + 1) / CUTS
 def scatter_of(squared: Floats, error: Floats, size: Floats, degrees_of_freedom: int) -> tuple[float, float]:
     """Scatter s and share n of the errors for which Σ ``squared`` / (n² ``error`` + s² ``size``) is as expected.
 
-    That is the ``degrees_of_freedom``. n is one as long as s is more than the least.
+    All three (rows,). That is the ``degrees_of_freedom``. n is one as long as s is more than the least.
     """
     known, least = np.isfinite(error), ORDER_TERMS.least_scatter
     squared, error, size = squared[known], error[known], size[known]
@@ -344,7 +344,7 @@ class Block:
         return np.asarray(1.0 / np.hypot(self.noise * self.rows.error, self.scatter * self.rows.size))
 
     def reached(self, poles: Poles) -> Ints:
-        """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
+        """Numbers (n,) of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
         rows = self.rows
         low, high = NUMBERS.reach_shares[0] * rows.ends_hz[0], NUMBERS.reach_shares[1] * rows.ends_hz[1]
         reached = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)

@@ -122,7 +122,7 @@ def _offset_hz(level: Floats, at: int, floor: Floor) -> float:
 
 
 def narrow_peak(level: Floats, peak: int, floor: Floor) -> tuple[float, float]:
-    """Frequency and half width of the resonance that in dB is most like the narrow ``peak`` of ``level``.
+    """Frequency and half width of the resonance that in dB is most like the narrow ``peak`` of ``level`` (bins,).
 
     ``floor``: the floor in all channels.
     """
@@ -140,7 +140,7 @@ def narrow_peak(level: Floats, peak: int, floor: Floor) -> tuple[float, float]:
 
 
 def local_maxima(level: Floats) -> Ints:
-    """Bins of ``level`` that are the largest within some on both sides, the ends excluded."""
+    """Bins (n,) of ``level`` (bins,) that are the largest within some on both sides, the ends excluded."""
     padded = np.pad(level, NUMBERS.peak_reach_bins, constant_values=-np.inf)
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * NUMBERS.peak_reach_bins + 1).max(axis=-1)
     inner = np.arange(len(level))

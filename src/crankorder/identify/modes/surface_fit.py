@@ -254,7 +254,10 @@ def background_columns(n_bins: int, degree: int) -> Floats:
 
 
 def gamma_deviance(psd: Floats, averages: Floats, model: Floats) -> Floats:
-    """Twice the log likelihood by which the powers ``psd`` miss ``model``, each averaged ``averages`` times."""
+    """Twice the log likelihood by which the powers ``psd`` miss ``model``, each averaged ``averages`` times.
+
+    All three have one shape, which is kept.
+    """
     used = averages > 0.0
     share = np.where(used, psd, 1.0) / np.where(used, model, 1.0)
     return np.asarray(2.0 * np.where(used, averages * (share - 1.0 - np.log(share)), 0.0))
@@ -544,7 +547,7 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Fl
 
 
 def covariance_of_all(fit: SurfaceFit, covariance: Floats) -> Floats:
-    """``covariance`` of ``fit``, more where channels and orders disagree about a pole beyond that."""
+    """``covariance`` (2M, 2M) of ``fit``, more where channels and orders disagree about a pole beyond that."""
     free = fit.poles.free
     if not len(free):
         return covariance
@@ -556,7 +559,7 @@ def covariance_of_all(fit: SurfaceFit, covariance: Floats) -> Floats:
 
 
 def side_by_side(parts: list[Floats]) -> Floats:
-    """Square matrix with ``parts`` on its diagonal: what different bands tell is independent."""
+    """Square matrix (n, n) with the square ``parts`` on its diagonal: what different bands tell is independent."""
     from scipy.linalg import block_diag
 
     return np.asarray(block_diag(np.zeros((0, 0)), *parts))

@@ -78,7 +78,7 @@ class LocalFit:
 
     @cached_property
     def bends(self) -> Complexes:
-        """Bend of the force of each of the orders."""
+        """Bend (orders,) of the force of each of the orders."""
         every = {order: bend for window in self.windows for order, bend in window.bends.items()}
         return np.array([every.get(order, 0j) for order in self.orders], dtype=np.complex128)
 

@@ -30,7 +30,10 @@ def poles_of(swept: Sequence[SweepPole]) -> tuple[Poles, Floats]:
 
 
 def unlike(poles: Poles, covariance: Floats, swept: Sequence[SweepPole]) -> Bools:
-    """Which (M,) of the ``poles`` that the floor shows, with ``covariance``, are none of ``swept``: sweeps smear it."""
+    """Which (M,) of the ``poles`` that the floor shows, with ``covariance``, are none of ``swept``: sweeps smear it.
+
+    ``covariance``: (2M, 2M).
+    """
     errors, widths = np.sqrt(np.maximum(np.diag(covariance)[::2], 0.0)), poles.damping * poles.frequency_hz
     own = np.ones(len(poles), dtype=np.bool_)
     for pole in swept:

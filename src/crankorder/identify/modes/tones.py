@@ -158,9 +158,9 @@ def tone_of(frequency_hz: float, error_hz: float, floor: Floor, fitted: Floats, 
 def amplitudes(frequency_hz: float, floor: Floor, fitted: Floats) -> dict[str, tuple[float, float]]:
     """Peak amplitude of a tone and its standard error in the channels where it stands out of the noise.
 
-    The power within the main lobe, less the ``fitted`` floor's, is A²/2 times the share of it that the bins hold;
-    over the speeds at which no order covers it. Noise beside a tone of power T scatters by √(2TN + N²) (Rice 1944).
-    ``frequency_hz``: in Hz.
+    The power within the main lobe, less the ``fitted`` floor's (C, F), is A²/2 times the share of it that the bins
+    hold; over the speeds at which no order covers it. Noise beside a tone of power T scatters by √(2TN + N²) (Rice
+    1944). ``frequency_hz``: in Hz.
     """
     near = np.flatnonzero(np.abs(floor.frequency_hz - frequency_hz) <= (NEAR_BINS + 0.5) * floor.seen.bin_hz)
     kernel = floor.seen.kernel(floor.frequency_hz[near] - frequency_hz)
