@@ -151,7 +151,7 @@ def _terms_g_mm(engine: Engine, max_order: int) -> NDArray[np.float64]:
 
 
 def reach_g_mm2(engine: Engine, max_order: int) -> NDArray[np.float64]:
-    """Sum of all forces of ``engine`` on the farthest lever at orders 0 … ``max_order`` (orders,): scale of a moment."""
+    """Sum of all forces of ``engine`` on the farthest lever at orders 0 … ``max_order`` (orders,): a scale."""
     places = [cylinder.position_m for cylinder in engine.cylinders] + [weight.position_m for weight in engine.webs]
     places += [weight.position_m for shaft in engine.shafts.single for weight in shaft.weights]
     lever_m = max(map(abs, [*places, engine.shafts.position_m])) + engine.rod_length_m

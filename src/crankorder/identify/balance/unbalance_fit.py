@@ -65,7 +65,7 @@ def unbalance_fit(
         _check_phases(order_map, engine)
         if sources.paths:
             lines = [order.order for order in orders]
-            record = by_stated_paths(order_map, lines, engine=engine, paths=sources.paths)
+            record = _by_stated_paths(order_map, lines, engine=engine, paths=sources.paths)
         elif engine is None:
             raise _Refused(f"no engine is named, so no force is known, and no path is stated; {TRIAL_MASS}")
         else:
@@ -285,7 +285,7 @@ class _Forces:
     speeds: int
 
 
-def by_stated_paths(
+def _by_stated_paths(
     order_map: xr.Dataset, lines: Sequence[float], *, engine: Engine | None, paths: tuple[StatedPath, ...]
 ) -> Balance:
     """Residual unbalance by the stated ``paths``.
