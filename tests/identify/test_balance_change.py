@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crankorder.identify.changes.mass_change import Factor, balance_changes, factor_of
+from crankorder.identify.mass_change import Factor, balance_changes, factor_of
 from made.typed import from_dicts
 
 balance_changes = from_dicts(balance_changes)

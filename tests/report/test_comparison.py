@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crankorder.comparison import Comparison, Trend
-from crankorder.identify.changes.compared import compared
+from crankorder.identify.compared import compared
 from crankorder.report.comparison.page import comparison_page, order_change_figure
 from crankorder.report.comparison.sentences import comparison_story, trend_verdict, with_sentences
 from crankorder.settings import load_settings

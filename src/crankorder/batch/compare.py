@@ -14,8 +14,8 @@ from crankorder.batch.result_folder import DONE, FINDINGS, RESULTS, publish, rea
 from crankorder.batch.store import file_sha256, json_bytes, text_sha256
 from crankorder.comparison import Comparison
 from crankorder.errors import InputError, RequestError
-from crankorder.identify.changes.compared import compared
-from crankorder.identify.changes.order_changes import Tested
+from crankorder.identify.compared import compared
+from crankorder.identify.order_changes import Tested
 from crankorder.report.comparison.sentences import with_sentences
 from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings

@@ -48,7 +48,7 @@ def boxes_of(
 
 
 def color_key(drawing: Drawing, box: Box, entries: Sequence[tuple[str, str]]) -> None:
-    """Write ``entries`` (text, colour) in one line above the ``box`` of a ``drawing``, smaller where the line is full."""
+    """Write ``entries`` (text, colour) in one line above the ``box`` of a ``drawing``, smaller where they are many."""
     left, bottom, width, height = box
     widths = [text_width_in(text, _KEY_SIZE, bold=True) + 0.16 for text, _ in entries]
     shrink = min(1.0, width / max(sum(widths), 1e-9))

@@ -16,7 +16,7 @@ from crankorder.comparison import (
     Trend,
     UnbalanceRecord,
 )
-from crankorder.identify.changes.order_changes import TREND_NUMBERS as TREND
+from crankorder.identify.order_changes import TREND_NUMBERS as TREND
 from crankorder.plot.reading import (
     at_speed,
     estimate_text,
