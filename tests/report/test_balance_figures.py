@@ -14,11 +14,11 @@ from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.engine.slider_crank import plain_piston_acceleration
 from crankorder.plot.drawing import Area
 from crankorder.plot.painter import picture_bytes
-from crankorder.report.balance import figures as pictures
-from crankorder.report.balance.dataset import alike, balance_dataset, called, cycle_dataset
-from crankorder.report.balance.figures import guide_figure, hinge_figure, loads_figure
-from crankorder.report.balance.sentences import balance_sentences, hinge_sentences
-from crankorder.report.balance.text import MISSING, WIDTH, balance_text, hinge_text, shown_orders, text_table
+from crankorder.report import balance_figures as pictures
+from crankorder.report.balance_dataset import alike, balance_dataset, called, cycle_dataset
+from crankorder.report.balance_figures import guide_figure, hinge_figure, loads_figure
+from crankorder.report.balance_sentences import balance_sentences, hinge_sentences
+from crankorder.report.balance_text import MISSING, WIDTH, balance_text, hinge_text, shown_orders, text_table
 from crankorder.settings import shipped, toml_table
 from report.conftest import overlaps
 

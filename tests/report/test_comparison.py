@@ -7,12 +7,6 @@ from crankorder.comparison import Comparison, Trend
 from crankorder.identify.compared import compared
 from crankorder.report.comparison import comparison_page, comparison_story, trend_verdict, with_sentences
 from crankorder.report.comparison_figures import order_change_figure
-    comparison_page,
-    comparison_story,
-    order_change_figure,
-    trend_verdict,
-    with_sentences,
-)
 from crankorder.settings import load_settings
 from made.two_tests import made_test
 from made.typed import record_of

@@ -22,8 +22,8 @@ from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.elastic_hinge import hinge_sheet
 from crankorder.engine.hinged_crank import HingedEngine, load_hinged_engine
 from crankorder.errors import RequestError, located
-from crankorder.report.balance.sentences import balance_sentences, hinge_sentences
-from crankorder.report.balance.text import balance_text, hinge_text
+from crankorder.report.balance_sentences import balance_sentences, hinge_sentences
+from crankorder.report.balance_text import balance_text, hinge_text
 from crankorder.settings import ReportSettings, load_settings, toml_table
 
 if TYPE_CHECKING:
@@ -112,8 +112,8 @@ Parts = tuple[dict[str, "xr.Dataset"], dict[str, Callable[[], Any]]]
 
 
 def _of_engine(balance: Balance, settings: ReportSettings) -> Parts:
-    from crankorder.report.balance import figures as drawn
-    from crankorder.report.balance.dataset import balance_dataset, cycle_dataset
+    from crankorder.report import balance_figures as drawn
+    from crankorder.report.balance_dataset import balance_dataset, cycle_dataset
     from crankorder.report.netcdf import as_stored
 
     subject, sheet, speeds = balance.subject, balance.sheet, balance.speeds_rpm
@@ -146,7 +146,7 @@ def _of_hinges(balance: Balance, settings: ReportSettings) -> Parts:
     import xarray as xr
 
     from crankorder.batch.plan import folder_name
-    from crankorder.report.balance.figures import guide_figure, hinge_figure
+    from crankorder.report.balance_figures import guide_figure, hinge_figure
 
     engine, sheet = balance.subject, balance.sheet
     assert isinstance(engine, HingedEngine)

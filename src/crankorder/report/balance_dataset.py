@@ -22,7 +22,7 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_moments, unbalance_force_n
 from crankorder.plot.reading import listed
 from crankorder.quantities import Complexes, Floats
-from crankorder.report.balance.sentences import plain_state
+from crankorder.report.balance_sentences import plain_state
 
 SYSTEMS: dict[str, tuple[str, str]] = {
     "none": ("no balancing", "no counterweight, no shaft"),

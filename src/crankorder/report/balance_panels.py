@@ -12,7 +12,7 @@ from crankorder.plot.drawing import SOLID, TICK_SIZE, Area, Box, Dashes, Drawing
 from crankorder.plot.palette import FAINT, GRID, INK, NORMAL, SMALL, drawable, text_width_in
 from crankorder.plot.reading import number_text
 from crankorder.quantities import Complexes, Floats
-from crankorder.report.balance.dataset import NO_FORCE
+from crankorder.report.balance_dataset import NO_FORCE
 from crankorder.settings import ReportSettings
 
 LEFT, RIGHT = 0.95, 0.35

@@ -26,7 +26,7 @@ from crankorder.plot.drawing import Area, Box, Drawing, Panel, Stroke, Words
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, WHITE, drawable, text_width_in
 from crankorder.plot.reading import number_text, order_text
 from crankorder.quantities import Complexes, Floats
-from crankorder.report.balance.dataset import (
+from crankorder.report.balance_dataset import (
     COUNTERWEIGHTS,
     NO_FORCE,
     PLAIN,
@@ -39,7 +39,7 @@ from crankorder.report.balance.dataset import (
     order_sum,
     present,
 )
-from crankorder.report.balance.panels import (
+from crankorder.report.balance_panels import (
     LEFT,
     RIGHT,
     Chart,
@@ -78,7 +78,7 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
     """Force along and across the cylinder against crank angle at the highest speed, before and after each balance.
 
     Below it the moments of several cylinders: rocking moments left, roll moment right.
-    ``balance`` as :func:`crankorder.report.balance.dataset.balance_dataset` makes it; ``title`` of the engine;
+    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
     ``settings`` of the report.
     """
     speed, per_omega = _at_highest_speed(balance)
@@ -132,7 +132,7 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
     """Primary force, secondary force and their sum against crank angle at the highest speed, without any balancing.
 
     Faint behind them all orders together. Positive away from the crankshaft: the piston pulls on its rod.
-    ``balance`` as :func:`crankorder.report.balance.dataset.balance_dataset` makes it; ``title`` of the engine;
+    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
     ``settings`` of the report. Source: Ruckle 2014, figure 7 (after Foale 2007).
     """
     speed, per_omega = _at_highest_speed(balance)
@@ -162,7 +162,7 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
     """Amplitude of the force by order along and across the cylinder, and moments of several cylinders, as bars.
 
     Newtons (or N·m) at the highest speed at the left, the amount over squared crank speed at the right, both
-    logarithmic. ``balance`` as :func:`crankorder.report.balance.dataset.balance_dataset` makes it; ``title`` of the
+    logarithmic. ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the
     engine; ``settings`` of the report.
     """
     speed, per_omega = _at_highest_speed(balance)
@@ -231,7 +231,7 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
 
     Counterweights come twice: by the first harmonic alone, whose curves are ellipses, and by all harmonics together.
     Up is along the cylinder, right is across it, to the side that the crank turns to; the crank turns clockwise.
-    ``balance`` as :func:`crankorder.report.balance.dataset.balance_dataset` makes it; ``title`` of the engine;
+    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
     ``settings`` of the report.
     """
     speed, per_omega = _at_highest_speed(balance)
@@ -287,7 +287,7 @@ def _crank_sense(drawing: Drawing, box: Box) -> None:
 def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Drawing:
     """Turning moment of gas and masses against crank angle at the highest speed, and both by order beside one another.
 
-    ``cycle`` as :func:`crankorder.report.balance.dataset.cycle_dataset` makes it; ``turning`` by speed, of the balance
+    ``cycle`` as :func:`crankorder.report.balance_dataset.cycle_dataset` makes it; ``turning`` by speed, of the balance
     sheet; ``title`` of the engine; ``settings`` of the report.
     """
     drawing = Drawing(settings.width_in, settings.height_in)
@@ -322,7 +322,7 @@ def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, 
 def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
     """Loads at the highest speed: the first cylinder's against crank angle, and every main bearing's as polar diagrams.
 
-    ``cycle`` as :func:`crankorder.report.balance.dataset.cycle_dataset` makes it, with loads; ``title`` of the engine;
+    ``cycle`` as :func:`crankorder.report.balance_dataset.cycle_dataset` makes it, with loads; ``title`` of the engine;
     ``settings`` of the report.
     """
     speed = float(cycle["speed"].values.max())
