@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
-from typing import Any, NamedTuple, TypeVar, get_args
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 import xarray as xr
@@ -128,7 +128,7 @@ def _orders(
     highest = min(float(order_map["order"].values[-1]) for order_map in maps)
     orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
     phases = not any(doubt.part == "phases" and doubt.severity == "weakens" for doubt in doubts)
-    changes = order_changes(*maps, orders, channels, within_rpm=within, q=q, phases=phases)
+    changes = order_changes(maps[0], maps[1], orders, channels, within_rpm=within, q=q, phases=phases)
     return speeds, orders, changes
 
 
@@ -200,13 +200,12 @@ def _mode_shifts(base: Findings, new: Findings) -> list[ModeShift]:
         for at, to in zip(*like_speeds(*hz, within_rpm=np.inf), strict=True)
         if abs(hz[1][to] - hz[0][at]) <= max(_reach(lists[0][at]), _reach(lists[1][to]))
     ]
-    alone = (
-        ModeShift(only_in="new" if side else "base", frequency_hz=mode.frequency_hz, p_value=None)
-        for side, modes in enumerate(lists)
-        for number, mode in enumerate(modes)
-        if all(pair[side] != number for pair in pairs)
-    )
-    return [*(_mode_shift(lists[0][at], lists[1][to]) for at, to in pairs), *alone]
+    shifts = [_mode_shift(lists[0][at], lists[1][to]) for at, to in pairs]
+    sides: tuple[Literal["base", "new"], ...] = ("base", "new")
+    for side, name in enumerate(sides):
+        alone = [mode for at, mode in enumerate(lists[side]) if all(pair[side] != at for pair in pairs)]
+        shifts += [ModeShift(only_in=name, frequency_hz=mode.frequency_hz, p_value=None) for mode in alone]
+    return shifts
 
 
 def _error_of(mode: ModeFinding, key: str) -> float:
@@ -261,7 +260,7 @@ def _order_dataset(changes: Sequence[OrderChange]) -> xr.Dataset:
     """Change of each order, rows (line, speed): a line is an order in a channel."""
     variables: dict[str, Any] = {}
 
-    def add(dims: tuple[str, ...], name: str, rows: Sequence[Any], units: str, text: str) -> None:
+    def add(dims: tuple[str, ...], name: str, rows: Any, units: str, text: str) -> None:
         variables[name] = (dims, np.array(rows), {"units": units, "long_name": text})
 
     for name, path, units, text in (
@@ -275,7 +274,7 @@ def _order_dataset(changes: Sequence[OrderChange]) -> xr.Dataset:
     ):
         add(("line", "speed"), name, list(map(attrgetter(path), changes)), units, text)
         if path in ("difference", "ratio_db"):
-            low, high = np.moveaxis(list(map(attrgetter(f"{path}_ci95"), changes)), -1, 0)
+            low, high = np.moveaxis(np.array(list(map(attrgetter(f"{path}_ci95"), changes))), -1, 0)
             add(("line", "speed"), f"{name}_low", low, units, "lower end of its 95 % interval")
             add(("line", "speed"), f"{name}_high", high, units, "upper end")
     add(("line",), "order", [change.order for change in changes], "1", "cycles per crank revolution")

@@ -121,7 +121,7 @@ class OrderChange:
     order: float = 1.0
     unit: str = ""
     locked: bool = True
-    changed_at: Bools | None = None
+    changed_at: Bools | tuple[()] = ()
     changed: bool = False
     phase_only: bool = False
 

@@ -115,8 +115,9 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
 
 def _in_words(balance: xr.Dataset, per_omega: float) -> str:
     """Text with the peak force without balancing and the smallest residual with counterweights and with shafts."""
-    most = per_omega * np.hypot(*(balance["curve"].sel(axis=axis) for axis in "xy")).max("crank_angle")
-    newtons = {str(name): float(most.sel(system=name)) for name in balance["system"].values}
+    along, across = (balance["curve"].sel(axis=axis).values for axis in "xy")
+    most = per_omega * np.hypot(along, across).max(axis=1)
+    newtons = dict(zip(map(str, balance["system"].values), most.tolist(), strict=True))
     if not newtons["none"]:
         return "none"
     plain = "without balancing" if balance.attrs[PLAIN] == SYSTEMS["none"][0] else balance.attrs[PLAIN]
@@ -171,7 +172,7 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
     last = max([4.0, *tall[: settings.max_labelled_orders]])
     shown = balance.sel(order=slice(None, last))
     systems = [names for names in alike(balance["force"]) if balance["force"].sel(system=names[0]).any()]
-    forces = np.abs(shown["force"].sel(system=[names[0] for names in systems or [["none"]]])).values
+    forces = np.abs(shown["force"].sel(system=[names[0] for names in systems or [["none"]]]).values)
     panels = [
         (name[0].upper() + name[1:], "N", list(forces[:, row]), systems or [["none"]])
         for row, name in enumerate(axis_names(balance))
@@ -281,7 +282,7 @@ def _crank_sense(drawing: Drawing, box: Box) -> None:
     arc = centre + 0.2 * np.column_stack([np.cos(turn), np.sin(turn)])
     drawing.add(Stroke(arc[:-2], FAINT, 1.0))
     arrow_head(drawing, arc[-4], arc[-1], FAINT)
-    drawing.add(Words(*centre, "crank", SMALL - 1, FAINT, along="centre"))
+    drawing.add(Words(float(centre[0]), float(centre[1]), "crank", SMALL - 1, FAINT, along="centre"))
 
 
 def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Drawing:
@@ -390,9 +391,9 @@ def hinge_figure(
         Curve(potential_torque(_ANGLES, curve), LINES[0], "without its mean", "torque-potential", 0.9),
     ]
     without = by_speed("side-force", lambda speed: side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed))
-    dashed = {"text": "", "width": 2.2, "alpha": 0.6, "dashes": (3.0, 2.0)}
     between = by_speed("m12-full", moment("full"))
-    between += [line._replace(**dashed) for line in by_speed("m12-printed", moment("printed"))]
+    for line in by_speed("m12-printed", moment("printed")):
+        between.append(line._replace(text="", width=2.2, alpha=0.6, dashes=(3.0, 2.0)))
     charts = (
         Chart("Crank torque, and its part without work", "N·m", torque),
         Chart("Side force without a hinge, R430 (5)", "N", without),
@@ -466,7 +467,8 @@ def _draw_guides(drawing: Drawing, box: Box, guides: Guides, data: GuideData) ->
         panel.curve(spring.real, spring.imag, color=LINES[1], width=1.0)
         panel.rings(ends.real, ends.imag, color=WHITE, radius=radius)
         panel.rings(ends.real, ends.imag, color=LINES[1], radius=radius, width=1.3)
-    drawing.add(Words(*panel.at(0.0, 0.0)[0], "+", NORMAL + 2, along="centre", across="centre"))
+    x, y = panel.at(0.0, 0.0)[0]
+    drawing.add(Words(x, y, "+", NORMAL + 2, along="centre", across="centre"))
     for angle_deg in range(0, 360, 30):
         x, y = panel.at(*(0.93 * limit * np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])))[0]
         drawing.add(Words(x, y, f"{angle_deg}°", SMALL, FAINT, along="centre", across="centre"))

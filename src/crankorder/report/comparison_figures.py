@@ -83,8 +83,7 @@ def _draw_channel(panel: Panel, changes: xr.Dataset, channel: str, colours: dict
         color = colours.get(order) if changes["changed"].values[row].any() else None
         last = _draw_line(panel, changes, row, by_speed, color)
         if color is not None and last is not None:
-            place = float(panel.at(0.0, float(np.clip(last, *panel.y)))[0, 1])
-            labels.append(EdgeLabel(place, order_text(order), color, row))
+            labels.append(EdgeLabel(panel.height_at(float(np.clip(last, *panel.y))), order_text(order), color, row))
     panel.frame()
     label_right(panel.drawing, panel.box, labels)
     if labels:
@@ -176,9 +175,10 @@ def _draw_trend(panel: Panel, runs: Floats, lines: list[Trend], number: int) -> 
     growth = 20.0 * np.log10(1.0 + trend.growth_per_run)
     fitted = float(np.mean(values - growth * runs)) + growth * runs
     panel.curve(runs, fitted, color=color, width=1.3, name=f"growth-{number}")
-    _draw_interval(panel, runs, *np.clip(ends, *panel.y).T, color)
+    low, high = np.clip(ends, *panel.y).T
+    _draw_interval(panel, runs, low, high, color)
     panel.rings(runs, values, color=color, radius=2.2)
     where = f", {trend.channel}" if trend.channel else ""
     names = " or ".join(dict.fromkeys(line.line for line in lines))
     text = shortened(f"{100 * trend.growth_per_run:+.0f} % · {drawable(names, 80)}{where}", SMALL, _TREND_RIGHT - 0.35)
-    return EdgeLabel(float(panel.at(0.0, float(np.clip(values[-1], *panel.y)))[0, 1]), text, color, number)
+    return EdgeLabel(panel.height_at(float(np.clip(values[-1], *panel.y))), text, color, number)
