@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import types
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
 from math import isfinite
+from operator import ge, gt, le, lt
 from typing import Any, ClassVar, Literal, Self, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -40,7 +41,9 @@ def finite(number: float) -> float | None:
     return float(number) if isfinite(number) else None
 
 
-_LIMITS = {"minimum": "≥", "maximum": "≤", "exclusiveMinimum": ">", "exclusiveMaximum": "<"}
+_LIMITS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
+    "minimum": ("≥", ge), "maximum": ("≤", le), "exclusiveMinimum": (">", gt), "exclusiveMaximum": ("<", lt),
+}  # fmt: skip
 _PLAIN: dict[object, tuple[str, str]] = {
     float: ("number", "a number"),
     int: ("integer", "a whole number"),
@@ -234,13 +237,7 @@ def _is_plain(kind: type, value: object) -> bool:
 
 
 def _is_within(value: Any, one: Field[Any]) -> bool:
-    limits = one.metadata["limits"]
-    return (
-        value >= limits.get("minimum", value)
-        and value <= limits.get("maximum", value)
-        and ("exclusiveMinimum" not in limits or value > limits["exclusiveMinimum"])
-        and ("exclusiveMaximum" not in limits or value < limits["exclusiveMaximum"])
-    )
+    return all(_LIMITS[name][1](value, bound) for name, bound in one.metadata["limits"].items())
 
 
 def _allowed(kind: Any, one: Field[Any]) -> str:
@@ -252,7 +249,7 @@ def _allowed(kind: Any, one: Field[Any]) -> str:
         return "a list" if each[-1] is ... else f"a list of {len(each)}"
     if kind not in _PLAIN:
         return "an object of texts"
-    limits = [f"{_LIMITS[name]} {bound:g}" for name, bound in one.metadata["limits"].items()]
+    limits = [f"{_LIMITS[name][0]} {bound:g}" for name, bound in one.metadata["limits"].items()]
     return " ".join([_PLAIN[kind][1], *limits])
 
 

@@ -11,7 +11,7 @@ from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
 from crankorder.errors import ManyErrors, RequestError
-from crankorder.report.balance.sentences import balance_sentences
+from crankorder.report.balance_sentences import balance_sentences
 from crankorder.settings import shipped
 
 CRANK_ENGINES = [name for name, text in shipped("engines").items() if "kind" not in tomllib.loads(text)]

@@ -27,7 +27,7 @@ from crankorder.engine.shafts import (
     with_single_shafts,
 )
 from crankorder.errors import RequestError
-from crankorder.report.balance.sentences import tolerance_sentences
+from crankorder.report.balance_sentences import tolerance_sentences
 
 # Balance shafts of stated unbalance, as the thesis prints them, and the firing engine that it gives no numbers for.
 

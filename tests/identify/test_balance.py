@@ -8,8 +8,8 @@ import pytest
 from crankorder.engine.definition import BalanceShafts, GasCurve
 from crankorder.engine.machine_parts import AddedMass
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
-from crankorder.identify.changes.mass_change import trial_mass
 from crankorder.identify.machine_model import MachineModel
+from crankorder.identify.mass_change import trial_mass
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, swept
 from made.typed import as_dicts
 
@@ -275,7 +275,7 @@ def test_what_tells_nothing_is_refused():
     engine, large = engine_of(), (AddedMass(mass_g=400.0, radius_mm=50.0),)
     elsewhere = two_maps(3, (0.0, 20_000.0), engine=engine, residuals=(0.3, 0.3))
     for maps, added, engine_known, words in (
-        ((base, new), (), None, "no mass"), ((base, new), heavy, None, "heavier"),
+        ((base, new), heavy, None, "heavier"),
         ((base, new), twice, None, "cancel"), ((base, new), mixed, None, "at once"),
         ((base, new), mixed[1:], None, "one cylinder"),
         ((base, new.assign_coords(speed=new["speed"] * 1.1)), heavy, None, "no speed in common"),

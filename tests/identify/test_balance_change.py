@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crankorder.identify.changes.mass_change import Factor, balance_changes, factor_of
+from crankorder.identify.mass_change import Factor, balance_changes, factor_of
 from made.typed import from_dicts
 
 balance_changes = from_dicts(balance_changes)
@@ -18,7 +18,7 @@ def closed(key, value, error):
 @pytest.mark.parametrize("sides", [(True, False), (False, True), (True, True)])
 def test_the_interval_of_the_change_covers_it_in_95_of_100_cases(sides):
     rng, held = np.random.default_rng(7), []
-    for _ in range(1000):
+    for _ in range(600):
         before, after = rng.uniform(50, 200), rng.uniform(50, 400)
         error = rng.uniform(0.01, 0.1, 3) * (before, after, after / before)
         found = [
@@ -30,7 +30,7 @@ def test_the_interval_of_the_change_covers_it_in_95_of_100_cases(sides):
         for record in records:  # one ratio in some thousands is taken for a turned one and refused
             low, high = record.change_ci95
             held.append(low <= after - before <= high)
-    assert len(held) >= 995
+    assert len(held) >= 597
     assert 0.93 <= np.mean(held) <= 0.97
 
 

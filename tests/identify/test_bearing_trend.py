@@ -5,7 +5,7 @@ import pytest
 
 from crankorder.engine.machine_parts import Bearing
 from crankorder.identify.bearing_records import bearing_records
-from crankorder.identify.changes.order_changes import RunAmplitudes, growth_over, run_amplitudes
+from crankorder.identify.order_changes import RunAmplitudes, growth_over, run_amplitudes
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.strikes import strikes

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from crankorder.findings import BearingFinding, OrderFinding
-from crankorder.identify.changes.compared import compared
-from crankorder.identify.changes.order_changes import Line, change, like_speeds, mean_ratio, orders_to_compare
+from crankorder.identify.compared import compared
+from crankorder.identify.order_changes import Line, OrderChange, like_speeds, mean_ratio, orders_to_compare
 from made.two_tests import SPEEDS_RPM, made_test
 from made.typed import record_of
 
@@ -44,7 +44,7 @@ def test_orders_within_their_intervals_are_one_and_a_slipping_one_is_not_locked(
 def test_intervals_of_difference_and_ratio_cover_and_p_values_are_uniform_where_nothing_changed():
     rng, n = np.random.default_rng(1), 4000
     true = np.full(n, 12.0 + 5.0j)
-    made = change(measured(rng, true), measured(rng, true, frames=9), np.ones(n), np.ones(n))
+    made = OrderChange(np.ones(n), np.ones(n), measured(rng, true), measured(rng, true, frames=9))
     for low, high in (made.difference_ci95.T, made.ratio_db_ci95.T):
         assert np.mean((low <= 0) & (high >= 0)) == pytest.approx(0.95, abs=0.012)
     for level in (0.05, 0.5):
@@ -63,7 +63,7 @@ def test_the_mean_ratio_over_speeds_covers_the_truth_whatever_the_noise_of_each_
 
 def test_an_amplitude_that_drowns_has_an_interval_down_to_nothing():
     base, new = (Line(np.array([a]), np.array([1.0]), np.array([8.0]), *[np.array([np.nan])] * 2) for a in (20.0, 1.0))
-    made = change(base, new, np.ones(1), np.ones(1))
+    made = OrderChange(np.ones(1), np.ones(1), base, new)
     assert made.ratio_db_ci95[0, 0] == -np.inf and made.ratio_db_ci95[0, 1] < 0
     assert np.isnan(made.mean.ratio_db) and made.p_all < 1e-4
 

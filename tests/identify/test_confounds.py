@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from crankorder.identify.changes.compared import compared, confounds
+from crankorder.identify.compared import compared, confounds
 from made.two_tests import made_test, stated
 
 LINES = {1.0: lambda rpm: 0.5}

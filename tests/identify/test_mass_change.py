@@ -1,12 +1,10 @@
 """The change of unbalance behind a change of order 1: its factor, and its law with speed."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from crankorder.identify.changes.mass_change import unbalance_change
-from crankorder.identify.changes.order_changes import Line, change
+from crankorder.identify.mass_change import unbalance_change
+from crankorder.identify.order_changes import Line, OrderChange
 
 SPEED_RPM = np.array([900.0, 1200.0, 1500.0, 1800.0, 2100.0])
 BEFORE = 3.0 * np.exp(0.4j)  # grams at their radius
@@ -31,7 +29,7 @@ def made(rng, *, natural_rpm=2400.0, error=0.6, after=BEFORE + ADDED, moved=1.0)
     response = path(SPEED_RPM, natural_rpm=natural_rpm)
     other = path(SPEED_RPM, natural_rpm=natural_rpm * moved)
     lines = measured(rng, response * BEFORE, error), measured(rng, other * after, error)
-    return unbalance_change(replace(change(*lines, SPEED_RPM, SPEED_RPM, order=1.0), changed=True))
+    return unbalance_change(OrderChange(SPEED_RPM, SPEED_RPM, *lines, changed=True))
 
 
 def test_one_factor_fits_through_any_path_and_its_interval_covers():

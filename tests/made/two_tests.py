@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.batch.result_folder import publish
 from crankorder.batch.store import json_bytes
-from crankorder.identify.changes.order_changes import Tested
+from crankorder.identify.order_changes import Tested
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.report.netcdf import results_bytes

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.text import Text
 
 from crankorder.engine.balance_data import balanced_engine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
@@ -13,14 +12,15 @@ from crankorder.engine.elastic_hinge import hinge_sheet
 from crankorder.engine.forces import unbalance_force_n
 from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.engine.slider_crank import plain_piston_acceleration
+from crankorder.plot.drawing import Area
 from crankorder.plot.painter import picture_bytes
-from crankorder.report.balance import force_figures as pictures
-from crankorder.report.balance.cycle_figures import cycle_dataset, guide_figure, hinge_figure, loads_figure
-from crankorder.report.balance.dataset import balance_dataset
-from crankorder.report.balance.sentences import balance_sentences, hinge_sentences
-from crankorder.report.balance.text import MISSING, WIDTH, balance_text, hinge_text, shown_orders, text_table
+from crankorder.report import balance_figures as pictures
+from crankorder.report.balance_dataset import alike, balance_dataset, called, cycle_dataset
+from crankorder.report.balance_figures import guide_figure, hinge_figure, loads_figure
+from crankorder.report.balance_sentences import balance_sentences, hinge_sentences
+from crankorder.report.balance_text import MISSING, WIDTH, balance_text, hinge_text, shown_orders, text_table
 from crankorder.settings import shipped, toml_table
-from made.texts import overlaps
+from report.conftest import overlaps
 
 CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})
 PICTURES = [pictures.polar_figure, pictures.force_figure, pictures.order_bars_figure, pictures.harmonics_figure]
@@ -77,7 +77,7 @@ def test_extreme_and_forceless_engines_and_hostile_titles_are_drawn(draw, hard, 
     figure = draw(made, title=subject.engine.title, settings=settings)
     assert overlaps(figure) == []
     assert len(picture_bytes(figure, dpi=50)) > 1000
-    assert not any("\x1b" in text.get_text() for text in figure.findobj(Text))
+    assert not any("\x1b" in words.text for words in figure.words)
 
 
 def test_the_polar_curve_of_the_bare_engine_is_the_exact_force(task5):
@@ -88,18 +88,26 @@ def test_the_polar_curve_of_the_bare_engine_is_the_exact_force(task5):
     assert np.abs(curve.sel(axis="y") - exact.imag).max() < 1e-9
 
 
+def _areas(drawing, prefix):
+    """Areas whose names begin with ``prefix``."""
+    return [part for part in drawing.parts if isinstance(part, Area) and part.name.startswith(prefix)]
+
+
 @pytest.mark.slow
 def test_arrows_go_round_as_the_force_does_and_a_line_has_none(task5, settings):
     figure = pictures.polar_figure(task5, title="t", settings=settings)
     turning: dict[str, list[float]] = {}
     counterweights = ["none", "a", "b", "c", "d"]  # twice: by the first harmonic alone, and by all
     names = [*counterweights, *counterweights, *task5["system"].values[5:]]
-    for axes, name in zip(figure.axes, names, strict=True):
-        for arrow in axes.texts:
-            if arrow.get_text() or getattr(arrow, "arrow_patch", None) is None or not arrow.get_gid():
-                continue
-            start, end = np.array(arrow.xyann), np.array(arrow.xy)
-            turning.setdefault(str(name), []).append(float(start[0] * end[1] - start[1] * end[0]))
+    polars = figure.strokes("polar")
+    for polar, name in zip(polars, names, strict=True):
+        left, bottom, width, height = polar.within
+        middle = np.array([left + width / 2, bottom + height / 2])
+        for arrow in _areas(figure, "sense"):
+            tip, *base = arrow.points - middle
+            if arrow.color == polar.color and (np.abs(tip) < width / 2).all():
+                start = np.mean(base, axis=0)
+                turning.setdefault(str(name), []).append(float(start[0] * tip[1] - start[1] * tip[0]))
     assert set(turning) == {"none", "c"}
     assert all(turn < 0 for turn in turning["none"])  # clockwise, as the crank: up is along the cylinder
     assert all(turn > 0 for turn in turning["c"])
@@ -107,8 +115,7 @@ def test_arrows_go_round_as_the_force_does_and_a_line_has_none(task5, settings):
 
 @pytest.mark.slow
 def test_the_first_harmonic_of_strategy_c_is_a_circle_and_of_the_bare_engine_an_ellipse(task5, settings):
-    figure = pictures.polar_figure(task5, title="t", settings=settings)
-    curves = [next(line for line in axes.lines if line.get_gid() == "polar").get_data() for axes in figure.axes]
+    curves = [line.values for line in pictures.polar_figure(task5, title="t", settings=settings).strokes("polar")]
     newton = float(unbalance_force_n(1.0, SPEED))
     across, along = curves[3]
     assert np.hypot(across, along) == pytest.approx(160 * 25 * newton, rel=1e-12)  # document 000: 160 g, turning back
@@ -122,8 +129,8 @@ def test_primary_and_secondary_force_add_up_as_in_figure_7_of_the_thesis(setting
     ratio = 0.25
     subject = _changed("msu-standard", crank_radius_m=0.04, rod_length_m=0.16, reciprocating_mass_kg=1.0)
     figure = pictures.harmonics_figure(_dataset(subject), title="t", settings=settings)
-    (axes,) = figure.axes  # nothing across: one panel
-    lines = {line.get_gid(): np.asarray(line.get_ydata()) for line in axes.lines if line.get_gid()}
+    lines = {line.name: line.values[1] for line in figure.strokes("") if line.name}
+    assert not [name for name in lines if name.endswith("-y")]  # nothing across: one panel
     np.testing.assert_allclose(lines["both-x"], lines["primary-x"] + lines["secondary-x"], rtol=1e-12, atol=1e-9)
     top, bottom = 0, 360
     assert lines["primary-x"][top] == pytest.approx(40_000 * float(unbalance_force_n(1.0, SPEED)), rel=1e-12)
@@ -159,19 +166,26 @@ def test_amplitude_and_phase_stand_in_the_dataset_as_in_the_sheet():
 
 def test_force_curves_are_in_newtons_at_the_highest_speed(task5, settings):
     figure = pictures.force_figure(task5, title="t", settings=settings)
-    lines = {line.get_gid(): line for axes in figure.axes for line in axes.lines if line.get_gid()}
+    lines = {line.name: line.values[1] for line in figure.strokes("force-")}
     for axis, column in (("x", 0), ("y", 1)):
         expected = unbalance_force_n(task5["curve"].values[0, column], SPEED)
-        np.testing.assert_allclose(lines[f"force-{axis}-none"].get_ydata(), expected, rtol=1e-12, atol=1e-9)
+        np.testing.assert_allclose(lines[f"force-{axis}-none"], expected, rtol=1e-12, atol=1e-9)
     assert {"force-x-a", "force-x-b", "force-x-c", "force-x-1", "force-x-2", "force-x-3"} <= set(lines)
     assert "force-y-b" not in lines  # nothing is left across the cylinder: said in words
 
 
 def test_bars_are_the_amplitudes_of_the_sheet(task5, settings):
     figure = pictures.order_bars_figure(task5, title="t", settings=settings)
-    heights = sorted({round(bar.get_height(), 6) for axes in figure.axes for bar in axes.patches if bar.get_height()})
     grams = [19250.0, 11250.0, 8000.0, 4000.0, 2032.200338455802, 32.78488937623422]
-    assert heights == sorted(round(float(unbalance_force_n(value, SPEED)), 6) for value in grams)
+    newtons = np.log([float(unbalance_force_n(value, SPEED)) for value in grams])
+    tops: dict[float, set[float]] = {}
+    for bar in _areas(figure, "bars-"):
+        tops.setdefault(bar.within[1], set()).add(round(float(np.nanmax(bar.points[:, 1])) - bar.within[1], 9))
+    across, along = (sorted(tops[foot]) for foot in sorted(tops))
+    assert len(along) + len(across) == len(grams) + 2
+    slope = (along[-1] - along[0]) / (newtons[0] - newtons[-1])
+    expected = along[-1] + slope * (newtons - newtons[0])
+    assert all(np.abs(expected - top).min() < 1e-6 for top in (*along, *across))
 
 
 @pytest.mark.slow
@@ -187,8 +201,9 @@ def test_loads_that_coincide_are_one_curve_with_both_names(settings):
 
     def drawn(engine):
         figure = loads_figure(cycle_dataset(engine, [SPEED]), title="", settings=settings)
-        curves = [line for line in figure.axes[0].lines if len(line.get_xydata()) > 2]
-        return len(curves), " ".join(text.get_text() for text in figure.texts)
+        highest = max(line.within[1] for line in figure.strokes("") if line.within)
+        curves = [line for line in figure.strokes("") if line.within and line.within[1] == highest]
+        return sum(len(line.points) > 2 for line in curves), " ".join(words.text for words in figure.words)
 
     count, words = drawn(with_rod.model_copy(update={"rod": None}))  # what is left of the rod is at the piston
     assert count == 2 and "crank pin and piston pin alike" in words
@@ -198,11 +213,11 @@ def test_loads_that_coincide_are_one_curve_with_both_names(settings):
 
 @pytest.mark.slow
 def test_systems_that_leave_the_same_are_named_together(task5):
-    groups = pictures.alike(task5["curve"])
+    groups = alike(task5["curve"])
     assert ["1", "4"] in groups
     assert ["3", "4+2"] in groups
-    assert pictures.called(["4", "1"], task5) == "shafts 1 and 4"
-    assert pictures.called(["none", "b", "own"], task5) == "no balancing, strategy b, its own shafts"
+    assert called(["4", "1"], task5) == "shafts 1 and 4"
+    assert called(["none", "b", "own"], task5) == "no balancing, strategy b, its own shafts"
 
 
 @pytest.mark.slow
@@ -213,7 +228,7 @@ def test_an_engine_whose_file_has_counterweights_is_drawn_as_built():
     webbed = bare.model_copy(update={"webs": (web,)})
     for engine, name in ((subject.engine, "as built"), (webbed, "as built"), (bare, "no balancing")):
         made = _dataset(replace(subject, engine=engine))
-        assert pictures.called(["none"], made) == name
+        assert called(["none"], made) == name
         told = balance_sentences(balance_sheet(replace(subject, engine=engine)))[0]
         assert told.startswith("As built" if name == "as built" else "With no balancing")
 
@@ -221,7 +236,7 @@ def test_an_engine_whose_file_has_counterweights_is_drawn_as_built():
 def test_moments_of_several_cylinders_are_drawn_and_those_of_one_are_not(settings, task5):
     four = _dataset(load_balanced_engine("v-twin"))
     figure = pictures.force_figure(four, title="t", settings=settings)
-    drawn = {line.get_gid() for axes in figure.axes for line in axes.lines}
+    drawn = {line.name for line in figure.strokes("moment-")}
     assert {"moment-about_x", "moment-about_y", "moment-about_crankshaft"} <= drawn
     assert "moment" not in task5
 
@@ -233,10 +248,11 @@ def test_the_picture_of_each_hinge_mechanism_has_no_text_on_another(number, sett
     mechanism = engine.mechanisms[number]
     figure = hinge_figure(engine, mechanism, mechanism.speeds_rpm, settings=settings)
     assert overlaps(figure) == []
-    lines = [line for axes in figure.axes for line in axes.lines if str(line.get_gid()).startswith("pin-")]
-    assert len(lines) == len(mechanism.speeds_rpm)
-    drawn = {str(line.get_gid()) for axes in figure.axes for line in axes.lines}
-    assert {"side-force-printed", "side-force-potential", "m12-full-0", "m12-printed-0", "torque-potential"} <= drawn
+    assert len(figure.strokes("pin-")) == len(mechanism.speeds_rpm)
+    drawn = {line.name for line in figure.strokes("")}
+    assert {"side-force-printed", "m12-full-0", "m12-printed-0", "torque-potential"} <= drawn
+    nothing = any(words.text.startswith("nothing: of a spring") for words in figure.words)
+    assert ("side-force-potential" in drawn) != nothing
 
 
 @pytest.mark.slow
@@ -245,12 +261,11 @@ def test_the_guides_of_both_hinges_are_drawn_to_scale(settings):
     mechanism = next(one for one in engine.mechanisms if one.pin_guides is not None)
     figure = guide_figure(engine, mechanism, 2865.0, settings=settings)
     assert overlaps(figure) == []
-    assert len(figure.axes) == 2
-    for axes in figure.axes:
-        guides = [line for line in axes.lines if line.get_gid() == "guide"]
-        assert len(guides) == 2
-        reach = [np.hypot(*line.get_data()).min() for line in guides]
-        assert max(reach) > mechanism.pin_guides.middle_radius_m > min(reach) > 0  # type: ignore[union-attr]
+    guides = figure.strokes("guide")
+    assert len(guides) == 4
+    for outer, inner in (guides[:2], guides[2:]):
+        reach = [np.hypot(*guide.values).min() for guide in (outer, inner)]
+        assert reach[0] > mechanism.pin_guides.middle_radius_m > reach[1] > 0
 
 
 # The text of a balance fits a terminal, shows what the document holds and nothing that it does not.

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from crankorder.comparison import Comparison, Trend
-from crankorder.identify.changes.compared import compared
-from crankorder.report.comparison.page import comparison_page, order_change_figure
-from crankorder.report.comparison.sentences import comparison_story, trend_verdict, with_sentences
+from crankorder.identify.compared import compared
+from crankorder.report.comparison import comparison_page, comparison_story, trend_verdict, with_sentences
+from crankorder.report.comparison_figures import order_change_figure
 from crankorder.settings import load_settings
 from made.two_tests import made_test
 from made.typed import record_of

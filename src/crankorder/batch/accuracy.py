@@ -24,7 +24,7 @@ from crankorder.ingest.manifest import manifest_head, manifest_of
 from crankorder.ingest.rawfile import RawFile
 from crankorder.ingest.recording import recording_of
 from crankorder.quantities import Floats
-from crankorder.report.balance.text import paragraph, text_table
+from crankorder.report.balance_text import paragraph, text_table
 from crankorder.report.netcdf import read_results
 from crankorder.settings import Settings, load_settings
 from crankorder.synth.noise import shaped_noise

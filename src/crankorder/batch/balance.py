@@ -22,8 +22,8 @@ from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.elastic_hinge import hinge_sheet
 from crankorder.engine.hinged_crank import HingedEngine, load_hinged_engine
 from crankorder.errors import RequestError, located
-from crankorder.report.balance.sentences import balance_sentences, hinge_sentences
-from crankorder.report.balance.text import balance_text, hinge_text
+from crankorder.report.balance_sentences import balance_sentences, hinge_sentences
+from crankorder.report.balance_text import balance_text, hinge_text
 from crankorder.settings import ReportSettings, load_settings, toml_table
 
 if TYPE_CHECKING:
@@ -112,9 +112,8 @@ Parts = tuple[dict[str, "xr.Dataset"], dict[str, Callable[[], Any]]]
 
 
 def _of_engine(balance: Balance, settings: ReportSettings) -> Parts:
-    from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure, torque_figure
-    from crankorder.report.balance.dataset import balance_dataset
-    from crankorder.report.balance.force_figures import force_figure, harmonics_figure, order_bars_figure, polar_figure
+    from crankorder.report import balance_figures as drawn
+    from crankorder.report.balance_dataset import balance_dataset, cycle_dataset
     from crankorder.report.netcdf import as_stored
 
     subject, sheet, speeds = balance.subject, balance.sheet, balance.speeds_rpm
@@ -126,20 +125,20 @@ def _of_engine(balance: Balance, settings: ReportSettings) -> Parts:
         groups["cycle"] = cycle_dataset(subject.engine, speeds)
     shown = as_stored(groups)
     of_forces = {
-        "polar": polar_figure,
-        "force": force_figure,
-        "orders": order_bars_figure,
-        "harmonics": harmonics_figure,
+        "polar": drawn.polar_figure,
+        "force": drawn.force_figure,
+        "orders": drawn.order_bars_figure,
+        "harmonics": drawn.harmonics_figure,
     }
     figures: dict[str, Callable[[], Any]] = {
         name: partial(figure, shown["balance"], title=sheet["engine"], settings=settings)
         for name, figure in of_forces.items()
     }
     if cycle is not None:
-        of_cycle = partial(torque_figure, shown["cycle"], cycle["turning"])
+        of_cycle = partial(drawn.torque_figure, shown["cycle"], cycle["turning"])
         figures["torque"] = partial(of_cycle, title=sheet["engine"], settings=settings)
         if cycle["loads"] is not None:
-            figures["loads"] = partial(loads_figure, shown["cycle"], title=sheet["engine"], settings=settings)
+            figures["loads"] = partial(drawn.loads_figure, shown["cycle"], title=sheet["engine"], settings=settings)
     return groups, figures
 
 
@@ -147,7 +146,7 @@ def _of_hinges(balance: Balance, settings: ReportSettings) -> Parts:
     import xarray as xr
 
     from crankorder.batch.plan import folder_name
-    from crankorder.report.balance.cycle_figures import guide_figure, hinge_figure
+    from crankorder.report.balance_figures import guide_figure, hinge_figure
 
     engine, sheet = balance.subject, balance.sheet
     assert isinstance(engine, HingedEngine)

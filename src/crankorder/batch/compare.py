@@ -14,9 +14,9 @@ from crankorder.batch.result_folder import DONE, FINDINGS, RESULTS, publish, rea
 from crankorder.batch.store import file_sha256, json_bytes, text_sha256
 from crankorder.comparison import Comparison
 from crankorder.errors import InputError, RequestError
-from crankorder.identify.changes.compared import compared
-from crankorder.identify.changes.order_changes import Tested
-from crankorder.report.comparison.sentences import with_sentences
+from crankorder.identify.compared import compared
+from crankorder.identify.order_changes import Tested
+from crankorder.report.comparison import with_sentences
 from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
 
@@ -134,7 +134,8 @@ def refuse_results(out: Path, folders: Sequence[Path]) -> None:
 
 def _files(results: ComparedResults, settings: ReportSettings) -> dict[str, bytes]:
     from crankorder.plot.painter import picture_bytes
-    from crankorder.report.comparison.page import comparison_page, order_change_figure, trend_figure
+    from crankorder.report.comparison import comparison_page
+    from crankorder.report.comparison_figures import order_change_figure, trend_figure
     from crankorder.report.netcdf import as_stored, results_bytes
 
     document, shown = results.document, as_stored(results.datasets)

@@ -1,15 +1,11 @@
-"""The look of the pictures that matplotlib draws: type, margins, text that stays text; and how a drawing is painted.
-
-A drawing is painted with a renderer of matplotlib: no axes, figure or artist, nothing measured anew.
-"""
+"""How a drawing is painted with a renderer of matplotlib: no axes, figure or artist, nothing measured anew."""
 
 from __future__ import annotations
 
 import struct
 import threading
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from functools import cache
 from io import BytesIO
 from math import log10
@@ -19,12 +15,11 @@ import matplotlib
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.path import Path
-from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from matplotlib.transforms import Affine2D, Bbox
 from numpy.typing import NDArray
@@ -43,87 +38,18 @@ from crankorder.plot.drawing import (
     pixels_of,
     whole,
 )
-from crankorder.plot.palette import (
-    FAINT,
-    GRID,
-    INK,
-    LARGE,
-    NORMAL,
-    font_file,
-    rgb_of,
-    shortened,
-    text_ink,
-)
+from crankorder.plot.palette import font_file, rgb_of, text_ink
 from crankorder.settings import PictureFormat
 
 _LOCK = threading.RLock()  # rc settings are global to matplotlib, and tests are analysed in threads
-_HOUSE: Mapping[str, object] = {
-    "font.family": ["DejaVu Sans"], "font.size": NORMAL, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
-    "axes.linewidth": 0.8, "axes.titlelocation": "left", "axes.axisbelow": True, "grid.color": GRID,
-    "grid.linewidth": 0.6, "text.color": INK, "text.parse_math": False, "text.usetex": False, "text.hinting": "default",
-    "xtick.color": FAINT, "ytick.color": FAINT, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
-    "xtick.labelsize": 8.5, "ytick.labelsize": 8.5,
-    "lines.linewidth": 1.3, "figure.facecolor": "white", "axes.facecolor": "white", "savefig.facecolor": "white",
-    "svg.hashsalt": "crankorder",
-    "axes.unicode_minus": True, "axes.formatter.use_mathtext": False, "path.simplify": True,
-}  # fmt: skip
 _NOT_LOOK = ("backend", "interactive", "toolbar", "timezone", "tk.", "webagg.", "keymap.", "docstring.", "_internal")
 
 
 @cache
 def _look() -> Mapping[str, object]:
-    """Every rc setting that shapes a picture: matplotlib's defaults (not the user's file) with the house's on top."""
+    """Every rc setting that shapes a picture: matplotlib's defaults, not the user's file, and a fixed salt for SVG."""
     defaults = {str(key): value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith(_NOT_LOOK)}
-    return {**defaults, **_HOUSE}
-
-
-@contextmanager
-def house_style() -> Iterator[None]:
-    """The house's settings for the time of a ``with`` block, whatever matplotlibrc says; one thread at a time."""
-    with _LOCK, matplotlib.rc_context(_look()):  # type: ignore[arg-type]  # its keys are a Literal of every setting
-        yield
-
-
-def title_lines(figure: Figure, left_in: float, title: str, sentence: str) -> None:
-    """Bold ``title`` and a ``sentence`` under it, from ``left_in`` inches at the top of ``figure``, cut to fit."""
-    width, height = figure.get_size_inches()
-    room = width - left_in - 0.2
-    write(figure, left_in, height - 0.34, shortened(title, LARGE, room, bold=True), fontsize=LARGE, fontweight="bold")
-    if sentence:
-        write(figure, left_in, height - 0.56, shortened(sentence, NORMAL, room), color=FAINT)
-
-
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Empty figure on the Agg canvas, ``width_in`` by ``height_in`` inches."""
-    figure = Figure(figsize=(width_in, height_in))
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def axes_at(figure: Figure, left_in: float, bottom_in: float, width_in: float, height_in: float) -> Axes:
-    """Axes at a place given in inches: ``left_in``, ``bottom_in``, ``width_in``, ``height_in`` on ``figure``."""
-    width, height = figure.get_size_inches()
-    return figure.add_axes((left_in / width, bottom_in / height, width_in / width, height_in / height))
-
-
-def write(figure: Figure, x_in: float, y_in: float, text: str, **look: Any) -> Text:
-    """``text``, taken literally, at (``x_in``, ``y_in``) inches on ``figure``; ``look``: matplotlib text properties."""
-    width, height = figure.get_size_inches()
-    return figure.text(x_in / width, y_in / height, text, parse_math=False, **look)
-
-
-def note(axes: Axes, text: str, place: tuple[float, float] = (0.5, 0.5), **look: Any) -> None:
-    """``text`` on a white ground at a ``place`` (shares) of ``axes``, in the middle; ``look``: text properties."""
-    ground = {"facecolor": "white", "edgecolor": "none", "pad": 2}
-    look = {"ha": "center", "va": "center", "color": FAINT, "bbox": ground} | look
-    axes.text(*place, text, transform=axes.transAxes, **look)
-
-
-def quiet_frame(axes: Axes) -> None:
-    """Left and bottom spines and a faint grid for ``axes``; no other spine."""
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(True)
-    axes.tick_params(length=3)
+    return {**defaults, "svg.hashsalt": "crankorder"}
 
 
 def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
@@ -273,31 +199,23 @@ class PaintedPanel(Painted):
         return Bbox.union([axes.bbox, *texts])
 
 
-def picture_bytes(figure: Drawing | Figure, *, dpi: int, kind: PictureFormat = "png") -> bytes:
-    """Bytes of a picture, the same for the same figure (no date, fixed software name).
+def picture_bytes(drawing: Drawing, *, dpi: int, kind: PictureFormat = "png") -> bytes:
+    """Bytes of a picture, the same for the same ``drawing`` (no date, fixed software name).
 
-    ``figure`` of the house or of matplotlib; ``dpi`` pixels per inch; ``kind`` of file.
+    ``dpi`` pixels per inch; ``kind`` of file.
     """
-    buffer = BytesIO()
-    with house_style():
-        if isinstance(figure, Drawing):
-            drawing = figure
-            if kind == "png":
-                renderer: Any = RendererAgg(int(drawing.width_in * dpi), int(drawing.height_in * dpi), dpi)  # type: ignore[no-untyped-call]
-                shown = np.asarray(renderer.buffer_rgba())
-                shown[:] = 255
-                Painter(renderer, dpi).paint(drawing)
-                return png_bytes(shown, dpi)
-            figure = new_figure(drawing.width_in, drawing.height_in)
-            figure.add_artist(Painted(drawing))
+    with _LOCK, matplotlib.rc_context(_look()):  # type: ignore[arg-type]  # its keys are a Literal of every setting
         if kind == "png":
-            figure.set_dpi(dpi)
-            canvas: Any = figure.canvas
-            canvas.draw()
-            return png_bytes(np.asarray(canvas.buffer_rgba()), dpi)
+            renderer: Any = RendererAgg(int(drawing.width_in * dpi), int(drawing.height_in * dpi), dpi)  # type: ignore[no-untyped-call]
+            shown = np.asarray(renderer.buffer_rgba())
+            shown[:] = 255
+            Painter(renderer, dpi).paint(drawing)
+            return png_bytes(shown, dpi)
+        figure, buffer = Figure(figsize=(drawing.width_in, drawing.height_in)), BytesIO()
+        figure.add_artist(Painted(drawing))
         dated = "Date" if kind == "svg" else "CreationDate"
         figure.savefig(buffer, format=kind, dpi=dpi, metadata={"Creator": "crankorder", dated: None})
-    return buffer.getvalue()
+        return buffer.getvalue()
 
 
 def png_bytes(shown: NDArray[np.uint8], dpi: int) -> bytes:

@@ -12,7 +12,7 @@ from typing import Any
 from crankorder.engine.forces import newton
 from crankorder.errors import printable
 from crankorder.plot.reading import number_text
-from crankorder.report.balance.sentences import plain_state, single_causes
+from crankorder.report.balance_sentences import plain_state, single_causes
 
 WIDTH = 100
 """Columns of the widest line."""

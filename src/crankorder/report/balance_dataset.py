@@ -1,4 +1,4 @@
-"""Forces and moments of an engine by order, before and after each balance, as one dataset: what the pictures show."""
+"""Datasets of a balance: forces and moments by order before and after each balance, and loads over the cycle."""
 
 from __future__ import annotations
 
@@ -12,27 +12,39 @@ from crankorder.engine.balance_data import BalancedEngine
 from crankorder.engine.balancing import (
     MOMENT_AXES,
     ONE_RADIAN_PER_S_RPM,
-    POSSIBILITIES,
-    STRATEGIES,
     forces_of,
     moments_of,
     polar_diagram,
     systems,
 )
+from crankorder.engine.cycle_tables import cycle_curves
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_moments, unbalance_force_n
+from crankorder.plot.reading import listed
 from crankorder.quantities import Complexes, Floats
-from crankorder.report.balance.sentences import plain_state
+from crankorder.report.balance_sentences import plain_state
 
-SYSTEMS: dict[str, str] = {
-    "none": "no balancing",
-    **{str(name): f"strategy {name}" for name in STRATEGIES},
-    **{str(name): f"shafts {name}" for name in POSSIBILITIES},
-    "webs": "crank webs",
-    **{f"order {order}": f"shafts up to order {order}" for order in range(1, 13)},
-    "own": "its own shafts",
+SYSTEMS: dict[str, tuple[str, str]] = {
+    "none": ("no balancing", "no counterweight, no shaft"),
+    "a": ("strategy a", "order 1 along cancelled"),
+    "b": ("strategy b", "order 1 across cancelled"),
+    "c": ("strategy c", "equal along and across"),
+    "d": ("strategy d", "counterweight on the rod too"),
+    "1": ("shafts 1", "pair at crank speed"),
+    "2": ("shafts 2", "pair at twice crank speed"),
+    "3": ("shafts 3", "both pairs"),
+    "4": ("shafts 4", "one, against the crank"),
+    "4+2": ("shafts 4+2", "one, and pair at twice speed"),
+    "webs": ("crank webs", "weights on the crank"),
+    **{f"order {order}": (f"shafts up to order {order}", "webs and shafts") for order in range(1, 13)},
+    "own": ("its own shafts", "as the engine file has them"),
 }
-"""What each system is called: the plain engine, counterweights, counterweights with additional shafts, as it is."""
+"""What each system is called, and what it is: the plain engine, strategies of counterweights, sets of shafts."""
+
+COUNTERWEIGHTS = ("none", "a", "b", "c", "d")
+SHAFT_SETS = tuple(name for name in SYSTEMS if name not in COUNTERWEIGHTS[1:])
+NO_FORCE = 1e-9
+"""A force below this share of the largest is nothing."""
 
 PLAIN = "plain_engine"
 """Attribute of the dataset that says what the plain engine is called: counterweights of its file make it "as built"."""
@@ -80,7 +92,7 @@ def balance_dataset(
             "harmonic_order": ("harmonic_order", np.array(list(map(float, harmonics))), _about("order", "1")),
         },
     )
-    dataset.attrs[PLAIN] = plain_state(sheet) if sheet["counterweights_in_file"] else SYSTEMS["none"]
+    dataset.attrs[PLAIN] = plain_state(sheet) if sheet["counterweights_in_file"] else SYSTEMS["none"][0]
     return dataset if subject.is_single else _with_moments(dataset, list(ways.values()), max_order)
 
 
@@ -99,6 +111,40 @@ def _with_moments(dataset: xr.Dataset, engines: Sequence[Engine], max_order: int
         moment_phase=(("moment_axis", "order"), _phase_deg(moment[0]), phase),
         moment_by_system=(("system", "moment_axis", "order"), moment, about),
     )
+
+
+def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
+    """Torques of gas and masses, and loads, of ``engine`` over its cycle at each of ``speeds_rpm``.
+
+    Dims speed, crank_angle (degrees), cylinder, bearing, and direction: "along" and "across" the cylinder for pins, "x"
+    and "z" of the engine for main bearings.
+    """
+    by_speed = cycle_curves(engine, speeds_rpm)
+    first, turn = by_speed[0], ("speed", "crank_angle")
+    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {
+        "gas_torque": (turn, np.stack([curves.gas_n_m for curves in by_speed]), {"units": "N m"}),
+        "inertia_torque": (turn, np.stack([curves.inertia_n_m for curves in by_speed]), {"units": "N m"}),
+    }
+    coords: dict[str, tuple[str, object, dict[str, str]] | list[str]] = {
+        "speed": ("speed", np.asarray(speeds_rpm, dtype=np.float64), {"units": "min-1"}),
+        "crank_angle": ("crank_angle", 360 * first.crank_angle_rev, {"units": "degree"}),
+    }
+    if first.loads:
+        by_cylinder = ("speed", "cylinder", "crank_angle")
+        thrust = np.stack([[load.side_thrust_n for load in curves.loads] for curves in by_speed])
+        variables["wall_load"] = (by_cylinder, thrust, {"units": "N", "long_name": "piston on its wall"})
+        across = ("speed", "cylinder", "direction", "crank_angle")
+        for name, pin in (("piston_pin_load", "piston_pin_n"), ("crank_pin_load", "crank_pin_n")):
+            values = np.stack([[getattr(load, pin) for load in curves.loads] for curves in by_speed])
+            variables[name] = (across, values, {"units": "N", "long_name": "rod on pin"})
+        coords["direction"] = ["along", "across"]
+    if first.bearings_n is not None:
+        values = np.stack([curves.bearings_n[:, [0, 2]] for curves in by_speed if curves.bearings_n is not None])
+        about = {"units": "N", "long_name": "crankshaft on main bearing"}
+        variables["main_bearing_load"] = (("speed", "bearing", "axis", "crank_angle"), values, about)
+        coords["axis"] = ["x", "z"]
+        coords["bearing"] = ("bearing", np.asarray(engine.main_bearings_m), {"units": "m"})
+    return xr.Dataset(variables, coords=coords)
 
 
 def _phase_deg(amplitudes: Complexes) -> Floats:
@@ -120,3 +166,38 @@ def order_sum(amplitudes: Complexes, crank_angle_rev: Floats) -> Floats:
 
 def _about(long_name: str, units: str = "") -> dict[str, str]:
     return {"long_name": long_name, **({"units": units} if units else {})}
+
+
+def axis_names(balance: xr.Dataset) -> tuple[str, str]:
+    """What the axes x and y of ``balance`` are called: one cylinder has its own directions, several have Z and X."""
+    return ("along Z", "along X") if "moment" in balance else ("along the cylinder", "across the cylinder")
+
+
+def alike(curves: xr.DataArray) -> list[list[str]]:
+    """Names of the systems whose ``curves`` (system, …) are the same, together, in their order."""
+    limit = NO_FORCE * float(np.abs(curves.values).max())
+    groups: dict[str, list[str]] = {}
+    for name in map(str, curves["system"].values):
+        apart = {first: float(np.abs(curves.sel(system=name) - curves.sel(system=first)).max()) for first in groups}
+        first = next((first for first, most in apart.items() if most <= limit), name)
+        groups.setdefault(first, []).append(name)
+    return list(groups.values())
+
+
+def label_of(name: str, balance: xr.Dataset) -> str:
+    """What the system ``name`` of ``balance`` is called."""
+    return str(balance.attrs[PLAIN]) if name == "none" else SYSTEMS[name][0]
+
+
+def called(names: Sequence[str], balance: xr.Dataset) -> str:
+    """``names`` of systems of ``balance``, what they have in common said once: ``"shafts 1 and 4"``."""
+    kinds: dict[str, list[str]] = {}
+    for name in sorted(names, key=list(SYSTEMS).index):
+        kind, _, mark = label_of(name, balance).rpartition(" ")
+        kinds.setdefault(kind, []).append(mark)
+    return ", ".join(f"{kind} {listed(marks)}" for kind, marks in kinds.items())
+
+
+def present(balance: xr.Dataset, names: Sequence[str]) -> list[str]:
+    """Those of the ``names`` of systems that ``balance`` has."""
+    return [name for name in names if name in balance["system"].values]

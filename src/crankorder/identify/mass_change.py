@@ -1,4 +1,4 @@
-"""The change of mass that explains what changed: one factor of unbalance, its law with speed, grams, closed balance."""
+"""The change of mass between two tests: one factor of unbalance, and what it tells of masses, closed or stated."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from crankorder.identify.balance.unbalance_fit import (
     size_and_angle,
     with_interval,
 )
-from crankorder.identify.changes.order_changes import OrderChange, welch
-from crankorder.orders.intervals import Z95, error_of, half_width, interval, size_interval
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.identify.order_changes import OrderChange, like_speeds, welch
+from crankorder.orders.intervals import LOCATED, Z95, error_of, half_width, interval, size_interval
+from crankorder.quantities import Complexes, Floats
 from crankorder.records import finite, known
 from crankorder.settings import MethodNumbers
 
@@ -78,28 +78,29 @@ def unbalance_change(change: OrderChange) -> tuple[UnbalanceRecord, Factor] | No
     factor, misfit, variance = _slope(before, after, error, error2)
     speed = change.base_rpm[kept]
     reference = float(np.nanmax(speed)) if np.isfinite(speed).any() else 1.0
-    square = (speed / reference) ** 2
-    square = np.where(np.isfinite(square), square, 1.0)
+    square = np.nan_to_num((speed / reference) ** 2, nan=1.0)
     information = float(np.sum(square**2 / both**2))
     law = complex(np.sum(square * (after - before) / both**2) / information)
     law_misfit = float(np.sum(np.abs(after - before - law * square) ** 2 / both**2))
-    freedom = float(np.sum(each_freedom))
-    spare = 2.0 * (len(before) - 1)
-    scatter = [max(1.0, chi2 / spare) if spare else 1.0 for chi2 in (misfit, law_misfit)]
-    fits = [finite(_chance_of(chi2 / spare, spare, each_freedom)) if spare else None for chi2 in (misfit, law_misfit)]
-    factor_error, law_error = np.sqrt(variance * scatter[0]), np.sqrt(scatter[1] / information)
+    freedom, spare = float(np.sum(each_freedom)), 2.0 * (len(before) - 1)
+    (scatter, fits), (law_scatter, law_fits) = (
+        (max(1.0, chi2 / spare), finite(_chance_of(chi2 / spare, spare, each_freedom))) if spare else (1.0, None)
+        for chi2 in (misfit, law_misfit)
+    )
+    factor_error, law_error = np.sqrt(variance * scatter), np.sqrt(law_scatter / information)
     radius = float(np.sqrt(2.0 * fdtri(2.0, freedom, 0.95))) * factor_error
-    explains = (fits[0] is None or fits[0] >= NUMBERS.fit_chance) and abs(factor - 1.0) > radius
-    half, turned = half_width(freedom) * factor_error, _degrees(factor)
+    explains = (fits is None or fits >= NUMBERS.fit_chance) and abs(factor - 1.0) > radius
+    half, turned = half_width(freedom) * factor_error, float(np.angle(factor, deg=True))
     half_angle = float(np.degrees(np.arcsin(half / abs(factor)))) if half < abs(factor) else None
     record = UnbalanceRecord(
         channel=change.channel, order=change.order, unit=change.unit, changed=change.changed,
         explains=bool(change.changed and explains), factor=abs(factor), factor_ci95=size_interval(factor, half),
         turned_deg=None if half_angle is None else turned,
         turned_deg_ci95=None if half_angle is None else (turned - half_angle, turned + half_angle),
-        one_factor_p=fits[0], square_law_amplitude=abs(law),
+        one_factor_p=fits, square_law_amplitude=abs(law),
         square_law_amplitude_ci95=size_interval(law, half_width(freedom) * law_error),
-        square_law_phase_deg=_degrees(law), square_law_p=fits[1], reference_rpm=reference, n_speeds=len(speed),
+        square_law_phase_deg=float(np.angle(law, deg=True)), square_law_p=law_fits, reference_rpm=reference,
+        n_speeds=len(speed),
     )  # fmt: skip
     return record, Factor(change.order, factor, float(factor_error), freedom)
 
@@ -128,10 +129,6 @@ def _slope(before: Complexes, after: Complexes, error: Floats, error2: Floats) -
     return factor, misfit, float(1.0 / np.sum(np.abs(true) ** 2 / total))
 
 
-def _degrees(value: complex) -> float:
-    return float(np.degrees(cmath.phase(value)))
-
-
 class Estimate(NamedTuple):
     """A number with its standard error."""
 
@@ -149,10 +146,21 @@ def balance_changes(base: Findings, new: Findings, factors: Sequence[Factor]) ->
     """
     changes = []
     for quantity in _QUANTITIES:
-        masses = [_closed(findings.balance, quantity) for findings in (base, new)]
-        factor = factor_of(factors, _ORDERS_OF.get(quantity, ()))
-        changes.append(_by_factor(quantity, masses, factor) if factor else _by_difference(quantity, masses))
-    return tuple(change for change in changes if change is not None)
+        before, after = masses = [_closed(findings.balance, quantity) for findings in (base, new)]
+        orders = _ORDERS_OF.get(quantity, ())
+        factor = factor_of(factors, orders)
+        told = _by_factor(masses, factor) if factor else None
+        orders = orders if told else ()
+        if not told and before and after:
+            told = before.value, after.value, float(np.hypot(before.error, after.error))
+        if told:
+            one, other, error = told
+            low, high = interval(other - one, error)
+            changes.append(BalanceChange(
+                quantity=quantity, base=one, new=other, change=other - one, change_ci95=(low, high),
+                changed=not low <= 0.0 <= high, by_ratio_of_orders=orders,
+            ))  # fmt: skip
+    return tuple(changes)
 
 
 def _closed(balance: Balance | None, quantity: str) -> Estimate | None:
@@ -179,8 +187,8 @@ def factor_of(factors: Sequence[Factor], orders: Sequence[float]) -> Estimate | 
     return Estimate(mean.real, error * half_width(min(factor.freedom for factor in best)) / Z95)
 
 
-def _by_factor(quantity: str, masses: Sequence[Estimate | None], factor: Estimate) -> BalanceChange | None:
-    """Both masses and their change, from those that are known and their ratio."""
+def _by_factor(masses: Sequence[Estimate | None], factor: Estimate) -> tuple[float, float, float] | None:
+    """Both masses and the error of their change, from those that are known and their ratio; None where these differ."""
     f = factor.value
     before = [(Estimate(m.value / by, m.error / by), by) for m, by in zip(masses, (1.0, f), strict=True) if m]
     if not before or not all(mass.error > 0 for mass, _ in before):
@@ -190,38 +198,17 @@ def _by_factor(quantity: str, masses: Sequence[Estimate | None], factor: Estimat
     mean = float(sum(w * mass.value for w, (mass, _) in zip(share, before, strict=True)))
     error = float(weight.sum() ** -0.5)
     if any(abs(mass.value - mean) > 3.0 * np.hypot(mass.error, error) for mass, _ in before):
-        return _by_difference(quantity, masses)
+        return None
     # of what was closed in the second test, the mass before falls as the factor rises
     by_ratio = sum(w * mass.value / f for w, (mass, by) in zip(share, before, strict=True) if by != 1.0)
     slope = mean - (f - 1.0) * by_ratio
-    change = Estimate((f - 1.0) * mean, float(np.hypot((f - 1.0) * error, slope * factor.error)))
-    return _balance_change(quantity, mean, f * mean, change, _ORDERS_OF[quantity])
-
-
-def _by_difference(quantity: str, masses: Sequence[Estimate | None]) -> BalanceChange | None:
-    base, new = masses
-    if base is None or new is None:
-        return None
-    change = Estimate(new.value - base.value, float(np.hypot(base.error, new.error)))
-    return _balance_change(quantity, base.value, new.value, change)
-
-
-def _balance_change(
-    quantity: str, base: float, new: float, change: Estimate, orders: tuple[float, ...] = ()
-) -> BalanceChange:
-    """Record of a mass (g or g·mm) before and after, and its change."""
-    low, high = interval(change.value, change.error)
-    return BalanceChange(
-        quantity=quantity, base=base, new=new, change=change.value, change_ci95=(low, high),
-        changed=not low <= 0.0 <= high, by_ratio_of_orders=orders,
-    )  # fmt: skip
+    return mean, f * mean, float(np.hypot((f - 1.0) * error, slope * factor.error))
 
 
 TRIAL_NUMBERS = MethodNumbers("5-identify-balance.toml", "trial_mass")
 
 VIBRATION = ("accel", "veloc", "displace", "vibration", "force")
 """Quantities in which an unbalance shows."""
-STEADY_REFERENCES = ("tdc", "index", "pulse")
 
 
 def trial_mass(
@@ -237,75 +224,60 @@ def trial_mass(
     Source: influence coefficients (Goodman 1964), here by total least squares over channels and speeds.
     """
     kinds = {mass.on for mass in added}
-    if not added:
-        return None, "no mass was added: state it under [[added_masses]] of the test that has it"
-    if len(kinds) > 1:
-        return None, "masses were added on the crank and on a piston at once: their effects cannot be told apart"
     references = {str(order_map.attrs.get("phase_reference", "none")) for order_map in (base_map, new_map)}
-    if len(references) > 1 or not references <= set(STEADY_REFERENCES):
-        return None, "the two tests have no mark of the shaft in common, so their phases cannot be compared"
-    on_piston = kinds == {"piston"}
-    if on_piston and (engine is None or len(engine.cylinders) != 1 or engine.largest_piston_kg == 0):
-        return None, "a mass on a piston tells a residual of an engine of one cylinder alone"
-    total = _unbalance_of(added)
-    if abs(total) < 1e-9:
-        return None, "the added masses cancel one another"
+    arms = [1.0 if mass.radius_mm is None else mass.radius_mm for mass in added]  # g·mm on the crank, g on a piston
+    total = complex(sum(cmath.rect(a * m.mass_g, np.radians(m.angle_deg)) for a, m in zip(arms, added, strict=True)))
+    one_cylinder = engine is not None and len(engine.cylinders) == 1 and engine.largest_piston_kg > 0
+    for refused, reason in (
+        (len(kinds) > 1, "masses were added on the crank and on a piston at once: their effects cannot be told apart"),
+        (len(references) > 1 or not references <= set(LOCATED),
+         "the two tests have no mark of the shaft in common, so their phases cannot be compared"),
+        ("piston" in kinds and not one_cylinder,
+         "a mass on a piston tells a residual of an engine of one cylinder alone"),
+        (abs(total) < 1e-9, "the added masses cancel one another"),
+    ):  # fmt: skip
+        if refused:
+            return None, reason
     ratio = _multiple(base_map, new_map, 1)
     if isinstance(ratio, str):
         return None, ratio
-    radii = {mass.radius_mm for mass in added}
-    words = added_words(added).partition(": ")[2]
-    evidence = (
-        f"{words} changed order 1 by {ratio.change_over_noise:.0f} times its error at {ratio.n_speeds} speeds; one "
-        f"residual explains all channels and speeds but for {100 * ratio.missed:.0f} %"
-    )
+    seen = np.isfinite(ratio.base.error)
+    over_noise = float(np.median(np.abs(ratio.change[seen]) / ratio.base.error[seen]))
     record = TrialBalance(
         source="trial mass",
         orders_used=(1,),
         crank_radius_mm=None if engine is None or engine.largest_piston_kg == 0 else 1e3 * engine.crank_radius_m,
-        radius_mm=next(iter(radii)) if len(radii) == 1 else None,
-        influence=ratio.influence_per(total),
-        evidence=evidence,
+        radius_mm=added[0].radius_mm if len({mass.radius_mm for mass in added}) == 1 else None,
+        influence=tuple(
+            Influence(
+                channel=ratio.base.channels[c],
+                speed_rpm=float(ratio.base.rpm_of_row[s]),
+                response_per_unit=float(abs(ratio.change[c, s] / total)),
+                phase_deg=float(np.angle(ratio.change[c, s] / total, deg=True)),
+            )
+            for c, s in np.argwhere(seen)
+        ),
+        evidence=f"{added_words(added).partition(': ')[2]} changed order 1 by {over_noise:.0f} times its error at "
+        f"{np.count_nonzero(seen.any(axis=0))} speeds; one residual explains all channels and speeds but for "
+        f"{100 * ratio.missed:.0f} %",
     )
-    if on_piston and engine is not None:
+    if kinds == {"piston"} and engine is not None:
         return _of_piston(record, ratio, total.real, engine, _multiple(base_map, new_map, 2)), ""
     return _of_crank(record, ratio, total), ""
 
 
-def _unbalance_of(masses: Sequence[AddedMass]) -> complex:
-    """Unbalance (g·mm) of ``masses`` on the crank, or their mass (g) on a piston."""
-    arms = (1.0 if mass.radius_mm is None else mass.radius_mm for mass in masses)
-    turned = (cmath.rect(arm * m.mass_g, np.radians(m.angle_deg)) for arm, m in zip(arms, masses, strict=True))
-    return sum(turned, 0j)
+class _Multiple(NamedTuple):
+    """Complex multiple of the added mass that the base has, the covariance (2, 2) of its parts, and their freedom.
 
+    It rests on the ``change`` (channel, speed) from the ``base``, of which it ``missed`` a share.
+    """
 
-class _Multiple:
-    """Complex multiple of the added mass that the base has, with its covariance (2, 2), and the changes it rests on."""
-
-    def __init__(
-        self, value: complex, covariance: Floats, base: MeasuredOrders, change: Complexes, missed: float
-    ) -> None:
-        self.value, self.covariance, self.missed = value, covariance, missed
-        self.base, self.change = base, change
-        self.usable: Bools = np.isfinite(base.error)
-        self.n_speeds = int(np.count_nonzero(self.usable.any(axis=0)))
-        self.freedom = self.n_speeds * float(np.mean(base.freedom[self.usable])) if self.usable.any() else 1.0
-        ratio = np.abs(change[self.usable]) / base.error[self.usable]
-        self.change_over_noise = float(np.median(ratio)) if ratio.size else 0.0
-
-    def influence_per(self, total: complex) -> tuple[Influence, ...]:
-        """Change of amplitude (m/s², else the channel's unit) per unit of the added mass, by channel and speed."""
-        return tuple(
-            Influence(
-                channel=name,
-                speed_rpm=float(rpm),
-                response_per_unit=float(abs(self.change[c, s] / total)),
-                phase_deg=float(np.degrees(np.angle(self.change[c, s] / total))),
-            )
-            for c, name in enumerate(self.base.channels)
-            for s, rpm in enumerate(self.base.rpm_of_row)
-            if self.usable[c, s]
-        )
+    value: complex
+    covariance: Floats
+    freedom: float
+    missed: float
+    base: MeasuredOrders
+    change: Complexes
 
 
 def _in_any_unit(order_map: xr.Dataset) -> xr.Dataset:
@@ -332,26 +304,21 @@ def _multiple(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _Multipl
         return f"the order maps have no bin at order {order}"
     if not base.channels or base.channels != new.channels:
         return "the two tests do not have the same accelerometers"
-    nearest = np.abs(base.rpm_of_row[:, None] - new.rpm_of_row).argmin(axis=1)
-    here = np.flatnonzero(np.abs(new.rpm_of_row[nearest] / base.rpm_of_row - 1) <= TRIAL_NUMBERS.same_speed_share)
+    share = TRIAL_NUMBERS.same_speed_share
+    here, there = like_speeds(np.log(base.rpm_of_row), np.log(new.rpm_of_row), within_rpm=share)
     if not here.size:
         return "the two tests have no speed in common"
-    unpaired = np.ones(base.rpm_of_row.size, dtype=bool)
-    unpaired[here] = False
-    base = base.without(unpaired)
     after, error = np.zeros_like(base.amplitude), np.full(base.error.shape, np.inf)
-    after[:, here], error[:, here] = new.amplitude[:, nearest[here]], new.steady_error[:, nearest[here]]
-    return _solved(base.without(~np.isfinite(error).all(axis=0)), after, error)
+    after[:, here], error[:, here] = new.amplitude[:, there], new.steady_error[:, there]
+    return _solved(replace(base, error=np.where(np.isfinite(error), base.error, np.inf)), after, error)
 
 
 def _solved(base: MeasuredOrders, after: Complexes, error: Floats) -> _Multiple | str:
     """Multiple u = 1 / (factor − 1), by the factor of unbalance that explains all channels and speeds at once."""
-    usable = np.isfinite(base.error) & np.isfinite(error)
+    usable = np.isfinite(base.error)
     y, z = base.amplitude[usable], after[usable]
     y_error, z_error = base.steady_error[usable], error[usable]
-    change = after - base.amplitude
-
-    if (np.abs(change[usable]) ** 2).sum() < 9 * 2 * (y_error**2 + z_error**2).sum():
+    if not usable.any() or (np.abs(z - y) ** 2).sum() < 9 * 2 * (y_error**2 + z_error**2).sum():
         return "the added mass changed nothing that stands clear of the noise: use a heavier one"
     factor, misfit, _ = _slope(y, z, y_error, z_error)
     value, n = 1.0 / (factor - 1.0), int(np.count_nonzero(usable))
@@ -369,12 +336,8 @@ def _solved(base: MeasuredOrders, after: Complexes, error: Floats) -> _Multiple 
         )
     left = (y * (1 + value) - value * z) / np.sqrt(variance)
     grows = y_error**2 + (y_error**2 + z_error**2) * value  # half the slopes of the variance by both parts of the value
-    slopes = np.stack(
-        [
-            (y - z) / np.sqrt(variance) - left * grows.real / variance,
-            1j * (y - z) / np.sqrt(variance) - left * grows.imag / variance,
-        ]
-    )
+    parts = ((1.0, grows.real), (1j, grows.imag))
+    slopes = np.stack([turn * (y - z) / np.sqrt(variance) - left * part / variance for turn, part in parts])
     slope = np.zeros((2, *base.error.shape), dtype=np.complex128)
     slope[:, usable] = slopes
     bread = np.linalg.pinv((slopes.conj() @ slopes.T).real)
@@ -385,7 +348,8 @@ def _solved(base: MeasuredOrders, after: Complexes, error: Floats) -> _Multiple 
     wider = 1.0 + 4.0 * float(np.sum(share * (1.0 - share) * unsure))
     covariance = wider * (1.0 if sound else chi_square) * bread @ filling @ bread
     covariance += missed**2 * abs(value) ** 2 * np.eye(2)
-    return _Multiple(value, covariance, base, change, missed)
+    of_all = len(freedom) * float(base.freedom[usable].mean())
+    return _Multiple(value, covariance, of_all, missed, base, after - base.amplitude)
 
 
 def _of_crank(record: TrialBalance, ratio: _Multiple, total: complex) -> TrialBalance:

@@ -7,6 +7,7 @@ from typing import Any
 
 from crankorder.engine.forces import newton, speed_key
 from crankorder.errors import plain_number
+from crankorder.plot.reading import listed
 
 Part = Mapping[str, Any]
 """A balance sheet or a part of it."""
@@ -22,11 +23,6 @@ FRAME = {"x": "along Z", "y": "along X"}
 """Words for the two directions, for one cylinder and for several; Z points from the crankshaft to the middle bank."""
 COUPLES = {"about_y": "about X", "about_x": "about Z"}
 _NO_FORCE = "no force"
-
-
-def listed(words: Sequence[str]) -> str:
-    """``words`` as one phrase: "a, b and c"."""
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
 def plain_state(sheet: Part) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from operator import attrgetter
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 import xarray as xr
@@ -36,9 +36,9 @@ from crankorder.comparison import (
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Findings, ModeFinding, TrialBalance
-from crankorder.identify.changes.mass_change import balance_changes, trial_mass, unbalance_change
-from crankorder.identify.changes.order_changes import NUMBERS as ORDER_CHANGES
-from crankorder.identify.changes.order_changes import (
+from crankorder.identify.mass_change import balance_changes, trial_mass, unbalance_change
+from crankorder.identify.order_changes import NUMBERS as ORDER_CHANGES
+from crankorder.identify.order_changes import (
     TO_DB,
     OrderChange,
     Tested,
@@ -127,13 +127,9 @@ def _orders(
     speeds = tuple(SpeedPair(base_rpm=finite(rpm[0][at]), new_rpm=finite(rpm[1][to])) for at, to in pairs)
     highest = min(float(order_map["order"].values[-1]) for order_map in maps)
     orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
-    with_phases = not any(doubt.part == "phases" and doubt.severity == "weakens" for doubt in doubts)
-    changes, of_amplitude = (
-        order_changes(maps[0], maps[1], orders, channels, within_rpm=within, q=q, phases=phases)
-        for phases in (with_phases, False)
-    )
-    both = zip(changes, of_amplitude, strict=True)
-    return speeds, orders, [replace(change, phase_only=change.changed and not size.changed) for change, size in both]
+    phases = not any(doubt.part == "phases" and doubt.severity == "weakens" for doubt in doubts)
+    changes = order_changes(maps[0], maps[1], orders, channels, within_rpm=within, q=q, phases=phases)
+    return speeds, orders, changes
 
 
 def _explanation(
@@ -204,13 +200,12 @@ def _mode_shifts(base: Findings, new: Findings) -> list[ModeShift]:
         for at, to in zip(*like_speeds(*hz, within_rpm=np.inf), strict=True)
         if abs(hz[1][to] - hz[0][at]) <= max(_reach(lists[0][at]), _reach(lists[1][to]))
     ]
-    alone = (
-        ModeShift(only_in="new" if side else "base", frequency_hz=mode.frequency_hz, p_value=None)
-        for side, modes in enumerate(lists)
-        for number, mode in enumerate(modes)
-        if all(pair[side] != number for pair in pairs)
-    )
-    return [*(_mode_shift(lists[0][at], lists[1][to]) for at, to in pairs), *alone]
+    shifts = [_mode_shift(lists[0][at], lists[1][to]) for at, to in pairs]
+    sides: tuple[Literal["base", "new"], ...] = ("base", "new")
+    for side, name in enumerate(sides):
+        alone = [mode for at, mode in enumerate(lists[side]) if all(pair[side] != at for pair in pairs)]
+        shifts += [ModeShift(only_in=name, frequency_hz=mode.frequency_hz, p_value=None) for mode in alone]
+    return shifts
 
 
 def _error_of(mode: ModeFinding, key: str) -> float:
@@ -256,42 +251,38 @@ def _trial_mass(base: Tested, new: Tested) -> tuple[TrialBalance | None, str]:
     maps, engine, added = order_maps((base, new)), None, (*put_on.elements(), *off)
     if not added or not maps:
         return None, "not both tests have an order map" if added else ""
-    if base.run.get("engine"):
-        with suppress(ValidationError):
-            engine = Engine.model_validate_json(json.dumps(base.run["engine"]))
+    with suppress(ValidationError):  # of a test without an engine, too
+        engine = Engine.model_validate_json(json.dumps(base.run.get("engine")))
     return trial_mass(*maps, added=added, engine=engine)
 
 
 def _order_dataset(changes: Sequence[OrderChange]) -> xr.Dataset:
     """Change of each order, rows (line, speed): a line is an order in a channel."""
-    by_speed = (
-        ("base_amplitude", [c.base.amplitude for c in changes], "see unit", "peak amplitude in the first test"),
-        ("new_amplitude", [c.new.amplitude for c in changes], "see unit", "peak amplitude in the second test"),
-        ("difference", [c.difference for c in changes], "see unit", "second less first"),
-        ("difference_low", [c.difference_ci95[:, 0] for c in changes], "see unit", "lower end of its 95 % interval"),
-        ("difference_high", [c.difference_ci95[:, 1] for c in changes], "see unit", "upper end"),
-        ("ratio_db", [c.ratio_db for c in changes], "dB", "second over first"),
-        ("ratio_db_low", [c.ratio_db_ci95[:, 0] for c in changes], "dB", "lower end of its 95 % interval"),
-        ("ratio_db_high", [c.ratio_db_ci95[:, 1] for c in changes], "dB", "upper end"),
-        ("vector_change", [c.vector_change for c in changes], "see unit", "phasor, second less first"),
-        ("p_value", [c.p_value for c in changes], "1", "chance of so large a difference where nothing changed"),
-        ("changed", [c.changed_at for c in changes], "1", "1 where a change is claimed"),
-    )
-    by_line = (
-        ("order", [c.order for c in changes], "cycles per crank revolution"),
-        ("channel", [c.channel for c in changes], "name of the channel"),
-        ("unit", [c.unit for c in changes], "unit of the channel"),
-    )
-    in_new = ("speed", changes[0].new_rpm, {"units": "min-1", "long_name": "speed in the second test"})
-    return xr.Dataset(
-        {
-            **{name: (("line", "speed"), np.stack(rows), {"units": unit, "long_name": text})
-               for name, rows, unit, text in by_speed},
-            **{name: ("line", np.array(values), {"units": "1", "long_name": text}) for name, values, text in by_line},
-            "new_speed": in_new,
-        },
-        coords={"speed": ("speed", changes[0].base_rpm, {"units": "min-1", "long_name": "speed in the first test"})},
-    )  # fmt: skip
+    variables: dict[str, Any] = {}
+
+    def add(dims: tuple[str, ...], name: str, rows: Any, units: str, text: str) -> None:
+        variables[name] = (dims, np.array(rows), {"units": units, "long_name": text})
+
+    for name, path, units, text in (
+        ("base_amplitude", "base.amplitude", "see unit", "peak amplitude in the first test"),
+        ("new_amplitude", "new.amplitude", "see unit", "peak amplitude in the second test"),
+        ("difference", "difference", "see unit", "second less first"),
+        ("ratio_db", "ratio_db", "dB", "second over first"),
+        ("vector_change", "vector_change", "see unit", "phasor, second less first"),
+        ("p_value", "p_value", "1", "chance of so large a difference where nothing changed"),
+        ("changed", "changed_at", "1", "1 where a change is claimed"),
+    ):
+        add(("line", "speed"), name, list(map(attrgetter(path), changes)), units, text)
+        if path in ("difference", "ratio_db"):
+            low, high = np.moveaxis(np.array(list(map(attrgetter(f"{path}_ci95"), changes))), -1, 0)
+            add(("line", "speed"), f"{name}_low", low, units, "lower end of its 95 % interval")
+            add(("line", "speed"), f"{name}_high", high, units, "upper end")
+    add(("line",), "order", [change.order for change in changes], "1", "cycles per crank revolution")
+    add(("line",), "channel", [change.channel for change in changes], "1", "name of the channel")
+    add(("line",), "unit", [change.unit for change in changes], "1", "unit of the channel")
+    add(("speed",), "new_speed", changes[0].new_rpm, "min-1", "speed in the second test")
+    in_first = {"units": "min-1", "long_name": "speed in the first test"}
+    return xr.Dataset(variables, coords={"speed": ("speed", changes[0].base_rpm, in_first)})
 
 
 CONFOUND_NUMBERS = MethodNumbers("5-identify-changes.toml", "confounds")
@@ -350,8 +341,7 @@ def confounds(base: Tested, new: Tested) -> list[Confound]:
     ]
     for concerns in (_channels, _maps, _firing, _repeats, _quality, _versions, _same_inputs):
         differences += concerns(tests)
-    rank = {"invalid": 0, "weakens": 1, "harmless": 2}
-    return sorted(differences, key=lambda confound: rank[confound.severity])
+    return sorted(differences, key=lambda confound: get_args(Severity).index(confound.severity))
 
 
 Tests = tuple[Tested, Tested]
@@ -376,63 +366,57 @@ def _text(value: Any) -> str:
     return "not stated" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _channels(tests: Tests) -> list[Confound]:
+def _channels(tests: Tests) -> Iterator[Confound]:
     """Channels of one test only, and those whose unit, sensor or direction is another."""
     base, new = ({channel["name"]: channel for channel in _at(test, "manifest.channels") or []} for test in tests)
-    differences = []
     for name in {**base, **new}:
-        of_channel = partial(_confound, part="channel", channel=name)
         if name in base and name in new:
-            pairs = ((rule, (base[name].get(rule[0]), new[name].get(rule[0]))) for rule in _CHANNEL_RULES)
-            differences += [
-                of_channel(key, severity, values=[_text(value) for value in values], words=words)
-                for (key, severity, words), values in pairs if values[0] != values[1]
-            ]  # fmt: skip
+            for key, severity, words in _CHANNEL_RULES:
+                values = [channels[name].get(key) for channels in (base, new)]
+                if values[0] != values[1]:
+                    yield _confound(key, severity, "channel", [_text(value) for value in values], words, name)
         else:
-            where, values = ("first", ["measured", "missing"]) if name in base else ("second", ["missing", "measured"])
-            words = f"only the {where} test has this channel"
-            differences.append(of_channel("channel", "invalid", values=values, words=words))
-    return differences
+            where, there = ("first", ["measured", "missing"]) if name in base else ("second", ["missing", "measured"])
+            yield _confound("channel", "invalid", "channel", there, f"only the {where} test has this channel", name)
 
 
-def _maps(tests: Tests) -> list[Confound]:
+def _maps(tests: Tests) -> Iterator[Confound]:
     """Highest order, speeds, frames and phase marks as the order maps have them."""
     maps = order_maps(tests)
     if not maps:
         values = ["held" if "order_map" in test.maps else "missing" for test in tests]
         words = "orders are compared where the results of both tests hold an order map"
-        return [_confound("order map", "invalid", "orders", values, words)] if "held" in values else []
+        if "held" in values:
+            yield _confound("order map", "invalid", "orders", values, words)
+        return
     speeds = [order_map["speed"].values[np.isfinite(order_map["speed"].values)] for order_map in maps]
     ranges = [f"{len(rpm)} speeds, {rpm.min():.0f} to {rpm.max():.0f} rpm" if len(rpm) else "" for rpm in speeds]
+    counts = [int(order_map["n_frames"].values.sum()) for order_map in maps]
+    few = max(counts) > CONFOUND_NUMBERS.few_frames_ratio * max(min(counts), 1)
     rules: tuple[tuple[str, Severity, Part, list[str], str], ...] = (
         ("highest order", "harmless", "orders", [f"{float(order_map['order'].values[-1]):g}" for order_map in maps],
          "orders are compared up to the lower"),
         ("phase reference", "weakens", "phases", [str(order_map.attrs.get("phase_reference")) for order_map in maps],
          "phases count from other marks: amplitudes only are compared"),
         ("speeds", "weakens", "all", ranges, "only speeds that both have are compared; nothing is interpolated"),
+        ("frames averaged", "harmless", "all", [str(n) for n in counts] if few else ["", ""],
+         "the intervals allow for it: small changes may hide in the shorter test"),
     )  # fmt: skip
-    differences = [_confound(*rule) for rule in rules if all(rule[3]) and rule[3][0] != rule[3][1]]
-    counts = [int(order_map["n_frames"].values.sum()) for order_map in maps]
-    if max(counts) > CONFOUND_NUMBERS.few_frames_ratio * max(min(counts), 1):
-        words = "the intervals allow for it: small changes may hide in the shorter test"
-        differences.append(_confound("frames averaged", "harmless", "all", [str(n) for n in counts], words))
-    return differences
+    yield from (_confound(*rule) for rule in rules if all(rule[3]) and rule[3][0] != rule[3][1])
 
 
-def _firing(tests: Tests) -> list[Confound]:
+def _firing(tests: Tests) -> Iterator[Confound]:
     """Firing against motoring, or another load: by the names of the tests and by pressure channels."""
     words = "combustion changes half orders and whole ones: differences are not the machine's alone"
-    states = []
-    for test in tests:
-        names = f"{_at(test, 'test') or ''} {_at(test, 'manifest.test.engine') or ''}".casefold()
-        states.append("firing" if "firing" in names or "fired" in names else "motoring" if "motor" in names else "")
-    if all(states) and states[0] != states[1]:
-        return [_confound(FIRING, "weakens", "all", states, words)]
+    names = [f"{_at(test, 'test') or ''} {_at(test, 'manifest.test.engine') or ''}".casefold() for test in tests]
+    kinds = {"firing": "firing", "fired": "firing", "motor": "motoring"}
+    states = [next((state for word, state in kinds.items() if word in name), "") for name in names]
     levels = [_pressure(test.maps["order_map"]) if "order_map" in test.maps else 0.0 for test in tests]
-    if min(levels) > 0 and max(levels) > CONFOUND_NUMBERS.fired_ratio * min(levels):
+    if all(states) and states[0] != states[1]:
+        yield _confound(FIRING, "weakens", "all", states, words)
+    elif min(levels) > 0 and max(levels) > CONFOUND_NUMBERS.fired_ratio * min(levels):
         values = [f"{level:.3g} (median)" for level in levels]
-        return [_confound("pressure of the cycle", "weakens", "all", values, words)]
-    return []
+        yield _confound("pressure of the cycle", "weakens", "all", values, words)
 
 
 def _pressure(order_map: xr.Dataset) -> float:
@@ -442,52 +426,45 @@ def _pressure(order_map: xr.Dataset) -> float:
     return float(np.median(np.sqrt(np.nansum(energy, axis=2)))) if any(rows) else 0.0
 
 
-def _repeats(tests: Tests) -> list[Confound]:
+def _repeats(tests: Tests) -> Iterator[Confound]:
     """Whether recordings were repeated at a speed: only then is known by how much a test differs from itself."""
     if not all({"shaft", "order_map"} <= set(test.maps) for test in tests):
-        return []
+        return
     counts = [(test.maps["shaft"].sizes["recording"], test.maps["order_map"].sizes["speed"]) for test in tests]
-    if all(recordings > speeds for recordings, speeds in counts):
-        return []
     values = [f"{recordings} recordings at {speeds} speeds" for recordings, speeds in counts]
     words = "intervals hold for the recordings: by how much a test differs when it is set up again, they do not know"
-    return [_confound(REPEATS, "weakens", "all", values, words)]
+    if any(recordings <= speeds for recordings, speeds in counts):
+        yield _confound(REPEATS, "weakens", "all", values, words)
 
 
-def _quality(tests: Tests) -> list[Confound]:
+def _quality(tests: Tests) -> Iterator[Confound]:
     """Remarks on the recordings that only one of the tests has."""
     remarks = [Counter((flag["flag"], flag["severity"]) for flag in _at(test, "quality") or []) for test in tests]
-    return [
-        _confound(
-            f"quality: {str(flag).replace('_', ' ')}",
-            "harmless" if severity == "info" else "weakens",
-            "all",
-            [f"{count[flag, severity]} recordings" for count in remarks],
-            f"recordings of one test only have this remark ({severity})",
-        )
-        for flag, severity in sorted(set(remarks[0]) ^ set(remarks[1]))
-    ]
+    for flag, severity in sorted(set(remarks[0]) ^ set(remarks[1])):
+        values = [f"{count[flag, severity]} recordings" for count in remarks]
+        weight: Severity = "harmless" if severity == "info" else "weakens"
+        words = f"recordings of one test only have this remark ({severity})"
+        yield _confound(f"quality: {str(flag).replace('_', ' ')}", weight, "all", values, words)
 
 
-def _versions(tests: Tests) -> list[Confound]:
+def _versions(tests: Tests) -> Iterator[Confound]:
+    """Versions of the program, or of libraries where the program is the same."""
     codes = [_at(test, "code_sha256") for test in tests]
     base, new = (_at(test, "versions") or {} for test in tests)
     if codes[0] != codes[1]:
         programs = zip((base.get("crankorder"), new.get("crankorder")), codes, strict=True)
         values = [f"{version} ({str(code)[:8]})" for version, code in programs]
         words = "analysed by other versions of the program: run both again with one"
-        return [_confound(PROGRAM, "weakens", "all", values, words)]
-    return [
-        _confound(f"library {name}", "harmless", "all", (_text(version), _text(new.get(name))), "")
-        for name, version in base.items()
-        if version != new.get(name)
-    ]
+        yield _confound(PROGRAM, "weakens", "all", values, words)
+        return
+    for name, version in base.items():
+        if version != new.get(name):
+            yield _confound(f"library {name}", "harmless", "all", (_text(version), _text(new.get(name))), "")
 
 
-def _same_inputs(tests: Tests) -> list[Confound]:
+def _same_inputs(tests: Tests) -> Iterator[Confound]:
     base, new = ({recording["sha256"] for recording in _at(test, "inputs") or []} - {None} for test in tests)
-    if not base & new:
-        return []
-    values = [f"{len(base & new)} of {len(inputs)} recordings" for inputs in (base, new)]
-    words = "the same bytes in both tests: they cannot differ"
-    return [_confound("shared recordings", "harmless" if base == new else "weakens", "all", values, words)]
+    if base & new:
+        values = [f"{len(base & new)} of {len(inputs)} recordings" for inputs in (base, new)]
+        words = "the same bytes in both tests: they cannot differ"
+        yield _confound("shared recordings", "harmless" if base == new else "weakens", "all", values, words)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -78,11 +78,16 @@ class Line:
     vector_error: Floats
     noise: Floats | float = 0.0
 
-    @classmethod
-    def without_phasor(cls, amplitude: Floats, error: Floats, freedom: Floats, *, noise: Floats) -> Line:
-        """A line of that ``amplitude``, its ``error``, ``freedom`` and ``noise`` (speeds,) alone."""
-        nothing = np.full(len(amplitude), np.nan)
-        return cls(amplitude, error, freedom, nothing.astype(np.complex128), nothing, noise)
+    @property
+    def without_phasor(self) -> Line:
+        """The same by its amplitude alone."""
+        nothing = np.full(len(self.amplitude), np.nan)
+        return replace(self, vector=nothing.astype(np.complex128), vector_error=nothing)
+
+    @property
+    def clear(self) -> Bools:
+        """At which speeds it stands clear of its noise."""
+        return np.asarray((self.amplitude > NUMBERS.clear_sigmas * self.error) & (self.amplitude > 0))
 
     @property
     def size(self) -> Floats:
@@ -104,35 +109,84 @@ class MeanRatio:
 class OrderChange:
     """One order in one channel in two tests at like speeds; every interval (speeds, 2) holds 95 %.
 
-    ``p_value`` (speeds,) says how likely so large a difference is where nothing changed, ``p_all`` the same for all
-    speeds together; ``mean`` is over the speeds that show the order clearly in both tests. ``changed`` and
-    ``changed_at`` are claims at the false-discovery rate that was asked for; ``phase_only`` is True where ``changed``
-    is claimed of the phasors, and would not be of the amplitudes.
+    ``changed`` and ``changed_at`` are claims at the false-discovery rate that was asked for; ``phase_only`` is True
+    where ``changed`` is claimed of the phasors, and would not be of the amplitudes.
     """
 
-    channel: str
-    order: float
-    unit: str
-    locked: bool
     base_rpm: Floats
     new_rpm: Floats
     base: Line
     new: Line
-    difference: Floats
-    difference_ci95: Floats
-    ratio_db: Floats
-    ratio_db_ci95: Floats
-    p_value: Floats
-    mean: MeanRatio
-    p_all: float
-    changed_at: Bools
+    channel: str = ""
+    order: float = 1.0
+    unit: str = ""
+    locked: bool = True
+    changed_at: Bools | tuple[()] = ()
     changed: bool = False
     phase_only: bool = False
+
+    @property
+    def difference(self) -> Floats:
+        """Amplitude of the second test less that of the first (speeds,)."""
+        return np.asarray(self.new.amplitude - self.base.amplitude)
+
+    @property
+    def difference_ci95(self) -> Floats:
+        """Its interval."""
+        error, freedom = welch(self.base.error, self.base.freedom, self.new.error, self.new.freedom)
+        return self.difference[:, None] + (half_widths(freedom) * error)[:, None] * (-1.0, 1.0)
 
     @property
     def vector_change(self) -> Complexes:
         """Phasor of the second test less that of the first; NaN where their phases cannot be compared."""
         return np.asarray(self.new.vector - self.base.vector)
+
+    @property
+    def ratio_db(self) -> Floats:
+        """Amplitude of the second test over that of the first (speeds,), dB."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(20.0 * np.log10(self.new.amplitude / self.base.amplitude))
+
+    @property
+    def ratio_db_ci95(self) -> Floats:
+        """Its interval: by the logarithm's error where both are clear, else from both intervals at 97.5 %."""
+        base, new = self.base, self.new
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error, freedom = welch(base.error / base.amplitude, base.freedom, new.error / new.amplitude, new.freedom)
+            near = np.log(new.amplitude / base.amplitude)[:, None] + (half_widths(freedom) * error)[:, None] * (
+                -1.0,
+                1.0,
+            )
+            reach = [half_widths(line.freedom, level=0.975) * line.error for line in (base, new)]
+            low = np.maximum(new.amplitude - reach[1], 0.0) / (base.amplitude + reach[0])
+            high = (new.amplitude + reach[1]) / np.maximum(base.amplitude - reach[0], 0.0)
+            far = np.log(np.stack([low, high], axis=1))
+        return np.asarray(np.where((base.clear & new.clear)[:, None], near, far) * TO_DB)
+
+    @cached_property
+    def p_value(self) -> Floats:
+        """Chance of so large a difference where nothing changed: of phasors where there are any, else of amplitudes."""
+        base, new = self.base, self.new
+        apart, difference = np.abs(self.vector_change), np.abs(self.difference)
+        error, freedom = welch(base.error, base.freedom, new.error, new.freedom)
+        spread, vector_freedom = welch(base.vector_error, base.freedom, new.vector_error, new.freedom)
+        size = np.maximum(base.amplitude, new.amplitude)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            by_vector = fdtrc(2.0, vector_freedom, apart**2 / (2.0 * spread**2))
+            by_amplitude = 2.0 * stdtr(freedom, -difference / error)
+        by_vector = np.where(apart <= EXACT * size, 1.0, by_vector)
+        by_amplitude = np.where(difference <= EXACT * size, 1.0, by_amplitude)
+        return np.asarray(np.where(np.isfinite(apart), by_vector, by_amplitude))
+
+    @cached_property
+    def mean(self) -> MeanRatio:
+        """Mean over the speeds that show the order clearly in both tests."""
+        return mean_ratio(self.base, self.new)
+
+    @property
+    def p_all(self) -> float:
+        """Chance of so large a difference at all speeds together where nothing changed."""
+        return float(np.nanmin([1.0, 2.0 * self.mean.p_value, 2.0 * simes(self.p_value)]))
 
 
 def like_speeds(base_rpm: Floats, new_rpm: Floats, *, within_rpm: float) -> tuple[Ints, Ints]:
@@ -146,14 +200,12 @@ def like_speeds(base_rpm: Floats, new_rpm: Floats, *, within_rpm: float) -> tupl
     if len(base_rpm) == len(new_rpm) == 1 and np.isnan(base_rpm[0]) and np.isnan(new_rpm[0]):
         return np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
     apart = np.abs(base_rpm[:, None] - new_rpm[None, :])
-    taken: list[tuple[int, int]] = []
+    taken: dict[int, int] = {}
     for at in np.argsort(apart, axis=None, kind="stable"):
-        in_base, in_new = (int(k) for k in np.unravel_index(at, apart.shape))
-        if not apart[in_base, in_new] <= within_rpm:
-            break
-        if all(in_base != a and in_new != b for a, b in taken):
-            taken.append((in_base, in_new))
-    pairs = np.array(sorted(taken), dtype=np.int64).reshape(-1, 2)
+        in_base, in_new = map(int, np.unravel_index(at, apart.shape))
+        if apart[in_base, in_new] <= within_rpm and in_base not in taken and in_new not in taken.values():
+            taken[in_base] = in_new
+    pairs = np.array(sorted(taken.items()), dtype=np.int64).reshape(-1, 2)
     return pairs[:, 0], pairs[:, 1]
 
 
@@ -165,20 +217,16 @@ def orders_to_compare(
     ``base`` and ``new`` are the ``orders`` of both findings; ``highest`` is the last order of the maps. Records within
     their intervals of one another are one order, called by the half order that they agree with.
     """
-    groups: list[tuple[float, bool]] = []
+    groups: dict[float, bool] = {}
     for record in [*base, *new]:
         order, ends = record.order, known(record.order_ci95) or (record.order, record.order)
         half = round(2 * order) / 2
         named = half if ends[0] <= half <= ends[1] or abs(order - half) < NUMBERS.same_order else order
-        locked = record.lock != "slips"
-        same = next((at for at, (called, _) in enumerate(groups) if abs(called - named) < NUMBERS.same_order), None)
-        if same is None:
-            groups.append((named, locked))
-        else:
-            groups[same] = groups[same][0], groups[same][1] and locked
-    known_orders = [called for called, _ in groups]
-    groups += [(order, True) for order in ALWAYS if all(abs(order - k) >= NUMBERS.same_order for k in known_orders)]
-    return sorted(group for group in groups if 0 < group[0] <= highest + NUMBERS.same_order)
+        same = next((called for called in groups if abs(called - named) < NUMBERS.same_order), named)
+        groups[same] = groups.get(same, True) and record.lock != "slips"
+    missing = [order for order in ALWAYS if all(abs(order - called) >= NUMBERS.same_order for called in groups)]
+    groups |= dict.fromkeys(missing, True)
+    return sorted((order, locked) for order, locked in groups.items() if 0 < order <= highest + NUMBERS.same_order)
 
 
 def line_of(order_map: xr.Dataset, channel: str, order: float, at: Ints, *, locked: bool, phases: bool) -> Line:
@@ -205,12 +253,11 @@ def line_of(order_map: xr.Dataset, channel: str, order: float, at: Ints, *, lock
         return _by_energy(order_map, values, peak, at)
     amplitude, error = values("coherent_amplitude"), values("standard_error")
     freedom = np.maximum(np.nan_to_num(values("degrees_of_freedom"), nan=1.0), 1.0)
-    if not phases:
-        return Line.without_phasor(amplitude, error, freedom, noise=error)
     half = np.radians(values("phase_ci95"))
     across = np.where(half < np.pi / 2, amplitude * half / half_widths(freedom), 0.0)
     vector = np.asarray(amplitude * np.exp(1j * np.radians(values("phase"))), dtype=np.complex128)
-    return Line(amplitude, error, freedom, vector, np.maximum(error, np.nan_to_num(across)), error)
+    line = Line(amplitude, error, freedom, vector, np.maximum(error, np.nan_to_num(across)), error)
+    return line if phases else line.without_phasor
 
 
 def _by_energy(order_map: xr.Dataset, values: Any, peak: int, at: Ints) -> Line:
@@ -225,7 +272,7 @@ def _by_energy(order_map: xr.Dataset, values: Any, peak: int, at: Ints) -> Line:
     beside = [k for k in (*range(peak - 6, peak - 2), *range(peak + 3, peak + 7)) if 0 < k < order_map.sizes["order"]]
     level = np.nan_to_num(np.nanmedian(values("amplitude", beside), axis=1)) if beside else np.zeros(len(at))
     noise = level * np.sqrt(bins.stop - bins.start) / np.sqrt(lost)
-    return Line.without_phasor(amplitude, error, np.maximum(frames - 1.0, 1.0), noise=noise)
+    return Line(amplitude, error, np.maximum(frames - 1.0, 1.0), amplitude + 0j, error, noise).without_phasor
 
 
 def order_changes(
@@ -250,6 +297,8 @@ def order_changes(
     phases : False where the marks from which phases count are not the same place in both tests
     """
     pairs = like_speeds(base["speed"].values, new["speed"].values, within_rpm=within_rpm)
+    rpm = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
+    unit = dict(zip(base["channel"].values.tolist(), base["unit"].values.tolist(), strict=True))
     changes: list[OrderChange] = []
     for channel in channels if len(pairs[0]) else ():
         for order, locked in orders:
@@ -257,32 +306,29 @@ def order_changes(
             read = partial(line_of, channel=channel, order=order, locked=locked, phases=with_phases)
             lines = [read(order_map, at=at) for order_map, at in zip((base, new), pairs, strict=True)]
             if all(np.isfinite(line.amplitude).any() for line in lines):
-                rpm = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
-                before, after = lines[0], _for_speed(base, pairs[0], rpm, lines[1], read)
-                unit = str(base["unit"].values[base["channel"].values.tolist().index(channel)])
-                changes.append(change(before, after, *rpm, channel=channel, order=order, unit=unit, locked=locked))
+                after = _for_speed(base, pairs[0], np.abs(rpm[1] - rpm[0]), lines[1], read)
+                changes.append(OrderChange(*rpm, lines[0], after, channel, order, str(unit[channel]), locked))
     if not changes:
         return changes
-    whole = claimed(np.array([each.p_all for each in changes]), q=q)
-    by_speed = claimed(np.stack([each.p_value for each in changes]), q=q)
-    claims = zip(changes, whole, by_speed, strict=True)
-    return [replace(each, changed=bool(claim), changed_at=at) for each, claim, at in claims]
+    of_amplitude = [replace(c, base=c.base.without_phasor, new=c.new.without_phasor) for c in changes]
+    whole, size = (claimed(np.array([c.p_all for c in each]), q=q) for each in (changes, of_amplitude))
+    by_speed = claimed(np.stack([c.p_value for c in changes]), q=q)
+    return [
+        replace(c, changed=bool(claim), changed_at=at, phase_only=bool(claim and not by_size))
+        for c, claim, by_size, at in zip(changes, whole, size, by_speed, strict=True)
+    ]
 
 
-def _for_speed(base: xr.Dataset, at: Ints, speeds: tuple[Floats, Floats], new: Line, read: Callable[..., Line]) -> Line:
-    """The line ``new`` with errors that hold what the difference of like speeds may make, by the slope in ``base``.
+def _for_speed(base: xr.Dataset, at: Ints, apart: Floats, new: Line, read: Callable[..., Line]) -> Line:
+    """The line ``new`` with errors that hold what like speeds that are ``apart`` may make, by the slope in ``base``.
 
     ``read`` gives the line of that order and channel in a map (:func:`line_of`).
     """
     speed = base["speed"].values
-    apart = np.abs(speeds[1] - speeds[0])
-    known = np.flatnonzero(np.isfinite(speed))
-    known = known[np.argsort(speed[known], kind="stable")]
+    known = np.argsort(speed, kind="stable")[: np.count_nonzero(np.isfinite(speed))]
     if len(known) < 2 or not np.any(apart > 0):
         return new
-    whole = read(base, at=known)
-    added = []
-    slopes = np.zeros(len(speed))
+    whole, slopes, added = read(base, at=known), np.zeros(len(speed)), []
     for values in (whole.amplitude, whole.vector):
         with np.errstate(divide="ignore", invalid="ignore"):
             steps = np.abs(np.diff(values)) / np.diff(speed[known])
@@ -312,81 +358,13 @@ def welch(error: Floats, freedom: Floats, error2: Floats, freedom2: Floats) -> t
     return np.sqrt(both), np.maximum(effective, 1.0)
 
 
-def change(
-    base: Line,
-    new: Line,
-    base_rpm: Floats,
-    new_rpm: Floats,
-    *,
-    channel: str = "",
-    order: float = 1.0,
-    unit: str = "",
-    locked: bool = True,
-) -> OrderChange:
-    """Change from one line to another at like speeds, no claim made yet.
-
-    Parameters
-    ----------
-    base, new : lines at the same number of speeds
-    base_rpm, new_rpm : (speeds,), min-1
-    channel, order, unit, locked : what is compared, handed on
-    """
-    error, freedom = welch(base.error, base.freedom, new.error, new.freedom)
-    difference = new.amplitude - base.amplitude
-    half = half_widths(freedom) * error
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio_db = 20.0 * np.log10(new.amplitude / base.amplitude)
-    p_value = _p_values(base, new)
-    mean = mean_ratio(base, new)
-    p_all = float(np.nanmin([1.0, 2.0 * mean.p_value, 2.0 * simes(p_value)]))
-    return OrderChange(
-        channel, order, unit, locked, base_rpm, new_rpm, base, new,
-        difference, np.stack([difference - half, difference + half], axis=1),
-        ratio_db, _ratio_db_ci95(base, new), p_value, mean, p_all, np.zeros(len(base_rpm), dtype=np.bool_),
-    )  # fmt: skip
-
-
-def _p_values(base: Line, new: Line) -> Floats:
-    """Chance of so large a difference where nothing changed: of the phasors where there are any, else amplitudes."""
-    apart, difference = np.abs(new.vector - base.vector), np.abs(new.amplitude - base.amplitude)
-    error, freedom = welch(base.error, base.freedom, new.error, new.freedom)
-    spread, vector_freedom = welch(base.vector_error, base.freedom, new.vector_error, new.freedom)
-    size = np.maximum(base.amplitude, new.amplitude)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        by_vector = fdtrc(2.0, vector_freedom, apart**2 / (2.0 * spread**2))
-        by_amplitude = 2.0 * stdtr(freedom, -difference / error)
-        by_vector = np.where(apart <= EXACT * size, 1.0, by_vector)
-        by_amplitude = np.where(difference <= EXACT * size, 1.0, by_amplitude)
-    return np.asarray(np.where(np.isfinite(apart), by_vector, by_amplitude))
-
-
-def _clear(line: Line) -> Bools:
-    return np.asarray((line.amplitude > NUMBERS.clear_sigmas * line.error) & (line.amplitude > 0))
-
-
-def _ratio_db_ci95(base: Line, new: Line) -> Floats:
-    """Ends (speeds, 2): by the logarithm's error where both are clear, else from both intervals at 97.5 %."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        relative, relative2 = base.error / base.amplitude, new.error / new.amplitude
-        error, freedom = welch(relative, base.freedom, relative2, new.freedom)
-        middle = np.log(new.amplitude / base.amplitude)
-        half = half_widths(freedom) * error
-        near = np.stack([middle - half, middle + half], axis=1)
-        reach = [half_widths(line.freedom, level=0.975) * line.error for line in (base, new)]
-        low = np.maximum(new.amplitude - reach[1], 0.0) / (base.amplitude + reach[0])
-        high = (new.amplitude + reach[1]) / np.maximum(base.amplitude - reach[0], 0.0)
-        far = np.log(np.stack([low, high], axis=1))
-    both = _clear(base) & _clear(new)
-    return np.asarray(np.where(both[:, None], near, far) * TO_DB)
-
-
 def mean_ratio(base: Line, new: Line) -> MeanRatio:
     """Mean over speeds of the ratio of two lines, of those speeds where both are clear of their noise; else NaN.
 
     ``base`` and ``new`` are lines at like speeds. The speeds are these and no sample of others: the error is that of
     the measurement alone, corrected for weights that are estimated (Meier 1953, Biometrics 9, 59).
     """
-    kept = _clear(base) & _clear(new)
+    kept = base.clear & new.clear
     if not kept.any():
         return MeanRatio(np.nan, (np.nan, np.nan), np.nan, np.nan)
     relative, relative2 = (line.error[kept] / line.amplitude[kept] for line in (base, new))

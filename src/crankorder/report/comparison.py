@@ -1,9 +1,10 @@
-"""What a comparison says, in plain sentences made from its record: what changed, why, how sure, what to do."""
+"""What a comparison says, and its page: what changed, why, how sure, what to do; tables with intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 from crankorder.channel_units import unit_text
 from crankorder.comparison import (
@@ -16,7 +17,7 @@ from crankorder.comparison import (
     Trend,
     UnbalanceRecord,
 )
-from crankorder.identify.changes.order_changes import TREND_NUMBERS as TREND
+from crankorder.identify.order_changes import TREND_NUMBERS as TREND
 from crankorder.plot.reading import (
     at_speed,
     estimate_text,
@@ -31,7 +32,9 @@ from crankorder.plot.reading import (
     with_interval,
 )
 from crankorder.records import Record, known
-from crankorder.report.sentences.story import Story
+from crankorder.report.sentences.story import Answer, Story
+from crankorder.report.tables import Table, table_of
+from crankorder.settings import ReportSettings
 
 _MAKER = 120
 _MANY = 6
@@ -70,7 +73,7 @@ def trend_verdict(trend: Trend) -> str:
 
 def _headline(comparison: Comparison) -> list[str]:
     """The few sentences that matter most, the cause first."""
-    sentences = _cause_sentences(comparison)[:1]
+    sentences = [_cause_sentence(comparison)]
     if comparison.cause.cause == "natural frequencies":
         sentences += _mode_sentences(comparison)[:2]
     sentences += [
@@ -81,9 +84,9 @@ def _headline(comparison: Comparison) -> list[str]:
     ]
     left_out = [short(channel.name) for channel in comparison.channels if not channel.compared]
     if 0 < len(left_out) < len(comparison.channels):
-        shown = [*left_out[:_MANY], f"{len(left_out) - _MANY} more"] if len(left_out) > _MANY else left_out
+        shown = left_out[:_MANY] + [f"{len(left_out) - _MANY} more"] * (len(left_out) > _MANY)
         sentences.append(f"Not compared: {listed(shown)}; the confounds say why.")
-    return list(dict.fromkeys([*sentences, *mass_sentences(comparison)[:1], *_growth_sentences(comparison)[:1]]))
+    return list(dict.fromkeys([*sentences, *_mass_sentences(comparison), *_growth_sentences(comparison)[:1]]))
 
 
 def comparison_story(comparison: Comparison) -> Story:
@@ -91,8 +94,8 @@ def comparison_story(comparison: Comparison) -> Story:
     return Story(
         what=[*_order_sentences(comparison), *_mode_sentences(comparison), *_growth_sentences(comparison)],
         why=[
-            *_cause_sentences(comparison), *_law_sentences(comparison), *mass_sentences(comparison),
-            *_untold_mass(comparison), *_balance(comparison),
+            _cause_sentence(comparison), *_law_sentences(comparison), *_mass_sentences(comparison),
+            *_balance_sentences(comparison),
         ],
         how_sure=_how_sure(comparison),
         what_to_do=_what_to_do(comparison),
@@ -105,48 +108,44 @@ def _best_unbalance(comparison: Comparison) -> UnbalanceRecord | None:
     return min(explaining, key=lambda record: record.factor_ci95[1] - record.factor_ci95[0], default=None)
 
 
-def _cause_sentences(comparison: Comparison) -> list[str]:
+def _cause_sentence(comparison: Comparison) -> str:
+    """What explains the changes."""
     cause, orders = comparison.cause.cause, comparison.cause.orders
     best = _best_unbalance(comparison)
     if cause == "not comparable":
-        return [
+        return (
             "The two tests cannot be compared: they have no order in a channel and at a speed of both, and no natural "
             "frequency that both show. Run both at the same speeds, with channels of the same names and units, or "
             "analyse a band that holds a natural frequency of both."
-        ]
+        )
     if cause == "nothing changed":
-        return [_unchanged(comparison)]
+        return _unchanged(comparison)
     if cause == "growing line":
-        return _growth_sentences(comparison)[:1]
+        return _growth_sentences(comparison)[0]
     if cause == "natural frequencies":
         none = "No order changed; natural" if comparison.orders else "Natural"
-        return [f"{none} frequencies or their damping changed: the structure or its mounting did."]
+        return f"{none} frequencies or their damping changed: the structure or its mounting did."
     if cause == "unbalance" and best is not None:
-        return [
-            f"The unbalance {_became(best)}: a balance weight explains it, for only order 1 changed, and by one factor "
-            f"at all {best.n_speeds} speeds."
-            if best.n_speeds > 1
-            else f"The unbalance {_became(best)}. Only order 1 changed: a balance weight explains it."
-        ]
+        became, explains = f"The unbalance {_became(best)}", "a balance weight explains it"
+        if best.n_speeds == 1:
+            return f"{became}. Only order 1 changed: {explains}."
+        return f"{became}: {explains}, for only order 1 changed, and by one factor at all {best.n_speeds} speeds."
     if cause == "moving masses":
-        return [_moving_masses(comparison)]
-    few = len(orders) <= _MANY
-    between = _orders_text(orders) if few else f"{order_text(min(orders))} to {order_text(max(orders))}"
+        return _moving_masses(comparison)
+    between = f"{order_text(min(orders))} to {order_text(max(orders))}"
     if _turned(comparison):
+        few = _orders_text(orders) if len(orders) <= _MANY else f"orders {between}"
         mark = ": a mark of the shaft that was moved does that" if len(orders) > 1 else ""
-        return [
-            f"The phase of {_noun(orders)} {between} turned, and no amplitude changed by more than chance alone would "
-            f"change it{mark}."
-        ]
+        return f"The phase of {few} turned, and no amplitude changed by more than chance alone would change it{mark}."
     unexplained = " A change of unbalance alone does not explain all of it." if {1.0, 2.0} & set(orders) else ""
     if len(orders) > _FEW:
-        return [f"{len(orders)} orders changed ({between}).{unexplained}"]
+        few = _orders_text(orders).partition(" ")[2] if len(orders) <= _MANY else between
+        return f"{len(orders)} orders changed ({few}).{unexplained}"
     parts = []
     for order in orders:
         verb, clearest = _ratio_of(comparison, order)
-        times = f" to {_times(clearest)}" if clearest else ""
-        parts.append(f"order {order_text(order)} {verb}{times}")
-    return [f"{_capital(listed(parts))}; no other order changed.{unexplained}"]
+        parts.append(f"order {order_text(order)} {verb}" + (f" to {_times(clearest)}" if clearest else ""))
+    return f"{_capital(listed(parts))}; no other order changed.{unexplained}"
 
 
 def _unchanged(comparison: Comparison) -> str:
@@ -174,7 +173,7 @@ def _moving_masses(comparison: Comparison) -> str:
     orders = comparison.cause.orders
     verbs = {_ratio_of(comparison, order)[0] for order in orders}
     verb = verbs.pop() if len(verbs) == 1 else "changed"
-    went = f"{_noun(orders).capitalize()} {_orders_text(orders)} {verb}, and no other"
+    went = f"{_capital(_orders_text(orders))} {verb}, and no other"
     changed = {mass.quantity: mass for mass in comparison.balance if mass.changed}
     for quantity in ("residual_reciprocating_g", "along_g", "residual_second_order_g"):
         if mass := changed.get(quantity):
@@ -203,12 +202,9 @@ def _verb(record: OrderChangeRecord) -> str:
     return "rose" if (record.ratio or 0.0) > 1 else "fell"
 
 
-def _noun(orders: Sequence[float]) -> str:
-    return "orders" if len(orders) > 1 else "order"
-
-
 def _orders_text(orders: Sequence[float]) -> str:
-    return listed([order_text(order) for order in orders])
+    """``"order 1"`` or ``"orders 1 and 2"``."""
+    return f"order{'s' * (len(orders) > 1)} {listed([order_text(order) for order in orders])}"
 
 
 def _became(unbalance: UnbalanceRecord) -> str:
@@ -280,22 +276,23 @@ def _growth_sentences(comparison: Comparison) -> list[str]:
 
 
 def _law_sentences(comparison: Comparison) -> list[str]:
+    """Whether the change of order 1 grows with the square of speed."""
     best = _best_unbalance(comparison)
     if best is None or best.n_speeds < 2 or _turned(comparison):
         return []
-    if best.square_law_p is not None and best.square_law_p >= 1e-3:
-        return [
-            "The change of order 1 grows with the square of speed at one phase, as the force of a mass on a stiff path "
-            "does."
-        ]
-    return [
+    stiff = (
+        "The change of order 1 grows with the square of speed at one phase, as the force of a mass on a stiff path "
+        "does."
+    )
+    resonant = (
         "The change of order 1 does not grow with the square of speed: a resonance lies between the force and the "
         "sensor. Its ratio does not depend on that, for both tests went through the same path."
-    ]
+    )
+    return [stiff if best.square_law_p is not None and best.square_law_p >= 1e-3 else resonant]
 
 
-def mass_sentences(comparison: Comparison) -> list[str]:
-    """Unbalance before and after a stated change of mass, from a ``comparison``; none where that tells no residual."""
+def _mass_sentences(comparison: Comparison) -> list[str]:
+    """Unbalance before and after a stated change of mass, none where that tells no residual."""
     trial = comparison.trial_mass
     if trial is None:
         return []
@@ -313,26 +310,22 @@ def mass_sentences(comparison: Comparison) -> list[str]:
     return [f"The unbalance was {before} before and is {after} now, by the stated mass."]
 
 
-def _untold_mass(comparison: Comparison) -> list[str]:
-    reason = comparison.trial_mass_reason
-    return [f"The stated change of mass tells no residual: {reason}."] if reason else []
-
-
-def _balance(comparison: Comparison) -> list[str]:
-    sentences: list[str] = []
+def _balance_sentences(comparison: Comparison) -> list[str]:
+    """Why a stated mass tells nothing, and how the masses of the closed balance changed."""
+    untold, sentences = comparison.trial_mass_reason, list[str]()
     for mass in comparison.balance:
         # of masses that were told by a ratio the first stands for the others
         if mass.changed and not (sentences and mass.by_ratio_of_orders):
             name, unit = _QUANTITY.get(mass.quantity, (mass.quantity, ""))
             orders = mass.by_ratio_of_orders
-            how = f" (by the ratio of {_noun(orders)} {_orders_text(orders)} in the two tests)" if orders else ""
+            how = f" (by the ratio of {_orders_text(orders)} in the two tests)" if orders else ""
             sentences.append(
                 f"The closed balance says: {name} changed by {estimate_text(mass, 'change', unit=unit)}, from "
                 f"{number_text(mass.base)} to {number_text(mass.new)} {unit}{how}."
             )
     if comparison.cause.cause == "moving masses" and not sentences and comparison.balance_reason:
         sentences.append(f"How many grams is not known: {comparison.balance_reason}.")
-    return sentences
+    return [f"The stated change of mass tells no residual: {untold}."] * bool(untold) + sentences
 
 
 def _how_sure(comparison: Comparison) -> list[str]:
@@ -374,3 +367,135 @@ def scaled_text(record: Record, key: str, factor: float) -> str:
     """Text of the estimate ``key`` of a ``record`` with its 95 % interval, both times ``factor``."""
     ends = sorted(factor * end for end in interval_of(record, key) or ())
     return with_interval(factor * getattr(record, key), ends or None)
+
+
+_ANSWERS: dict[Answer, str] = {"what": "What changed", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}
+_MARKED = frozenset({"yes", "invalid", "weakens"})
+
+
+def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], settings: ReportSettings) -> str:
+    """HTML page of a ``comparison`` with its sentences, with no script and no network; all text is escaped.
+
+    ``pictures`` pairs of file name (beside the page) and caption; ``settings`` of the report.
+    """
+    from crankorder.report.page import rendered_page  # loads jinja, which the numbers do not need
+
+    limit = settings.max_name_characters
+    story, lead = comparison_story(comparison), comparison.headline[0]
+    tables = {name: table(comparison, partial(named, limit=limit)) for name, table in _TABLES.items()}
+    return rendered_page(
+        "comparison.html",
+        base=named(comparison.base, limit=limit),
+        new=named(comparison.new, limit=limit),
+        lead=lead,
+        story=[(title, [sentence for sentence in story[key] if sentence != lead]) for key, title in _ANSWERS.items()],
+        pictures=[(f"./{file}", named(caption, limit=4 * limit)) for file, caption in pictures],
+        tables=[(name, table) for name, table in tables.items() if table.rows or table.empty],
+        marked=_MARKED,
+    )
+
+
+Shorten = Callable[[str], str]
+
+
+_YES = {True: "yes", False: "no"}
+_chance = partial(number_text, digits=2)
+
+
+def _orders(comparison: Comparison, short: Shorten) -> Table:
+    rows = [
+        [
+            short(r.channel), order_text(r.order), short(r.explained_by or "–"), _YES[r.changed],
+            estimate_text(r, "ratio"), estimate_text(r, "ratio_db"), number_text(r.speed_rpm, digits=4),
+            number_text(r.base_amplitude), number_text(r.new_amplitude), estimate_text(r, "difference"),
+            unit_text(r.unit), f"{r.n_changed} of {r.n_speeds}", _chance(r.p_value),
+        ]
+        for r in sorted(comparison.orders, key=lambda record: (not record.changed, record.channel, record.order))
+    ]  # fmt: skip
+    heads = "Channel|Order#|Made by|Changed|Ratio#|Ratio, dB#|Speed of the clearest change, rpm#|First#|Second#"
+    heads += "|Difference#|Unit|Speeds changed#|p#"
+    note = "Ratio: second test over first, mean of the speeds at which both show the order clearly. p: chance of so "
+    note += "large a change where nothing changed."
+    return table_of("Orders", heads, rows, empty="No order could be compared.", note=note)
+
+
+def _modes(comparison: Comparison, _: Shorten) -> Table:
+    rows = [
+        [
+            frequency_text(mode.frequency_hz),
+            _YES[mode.changed] if mode.only_in is None else "seen in one test only",
+            estimate_text(mode, "shift_hz"), estimate_text(mode, "damping_change"), _chance(mode.p_value),
+        ]
+        for mode in comparison.modes
+    ]  # fmt: skip
+    note = "That only one test shows a natural frequency is no claim: the other may have hidden it."
+    heads = "Natural frequency, Hz#|Changed|Shift, Hz#|Change of damping ratio#|p#"
+    return table_of("Natural frequencies", heads, rows, empty="None could be compared.", note=note if rows else "")
+
+
+def _unbalance(comparison: Comparison, short: Shorten) -> Table:
+    rows = [
+        [
+            short(r.channel), order_text(r.order), _YES[r.explains], estimate_text(r, "factor"),
+            estimate_text(r, "turned_deg"), _chance(r.one_factor_p), estimate_text(r, "square_law_amplitude"),
+            unit_text(r.unit), _chance(r.square_law_p),
+        ]
+        for r in comparison.unbalance
+    ]  # fmt: skip
+    reference = comparison.unbalance[0].reference_rpm if rows else 0.0
+    heads = "Channel|Order#|Explains the change|After over before#|Turned by, °#|Chance of a worse fit: one factor#"
+    heads += f"|Change at {reference:.0f} rpm, as speed²#|Unit|Chance of a worse fit: speed²#"
+    note = "One factor at all speeds: the same path led from another unbalance to the sensor. A change that grows as "
+    return table_of("Change of unbalance", heads, rows, note=note + "speed² besides: that path is stiff.")
+
+
+def _masses(comparison: Comparison, short: Shorten) -> Table:
+    rows = [
+        [
+            short(of.channel), number_text(of.speed_rpm, digits=4), number_text(of.response_per_unit),
+            number_text(of.phase_deg),
+        ]
+        for of in (comparison.trial_mass.influence if comparison.trial_mass else ())
+    ]  # fmt: skip
+    note = "Response to one g (on a piston) or g·mm (on the crank) of the mass that the manifests state."
+    return table_of("Influence of the added mass", "Channel|Speed, rpm#|Response#|Phase, °#", rows, note=note)
+
+
+def _balance(comparison: Comparison, _: Shorten) -> Table:
+    rows = [
+        [
+            mass.quantity.replace("_", " "), _YES[mass.changed], number_text(mass.base), number_text(mass.new),
+            estimate_text(mass, "change"),
+        ]
+        for mass in comparison.balance
+    ]  # fmt: skip
+    return table_of("Balance closed with the engine model", "Quantity|Changed|First#|Second#|Change#", rows)
+
+
+def _trend(comparison: Comparison, short: Shorten) -> Table:
+    rows = [
+        [
+            short(t.line), t.kind, short(t.channel), _YES[t.changed], scaled_text(t, "growth_per_run", 100),
+            ", ".join(number_text(value) for value in t.amplitude), _chance(t.p_value), t.verdict,
+        ]
+        for t in sorted(comparison.trend, key=lambda trend: (not trend.changed, trend.kind, trend.line))
+    ]  # fmt: skip
+    heads = "Line|Kind|Channel|Changed|Growth per run, %#|Amplitude by run#|p#|Verdict"
+    return table_of("Trend over the runs", heads, rows, note="Runs: " + ", ".join(comparison.runs) + ".")
+
+
+def _confounds(comparison: Comparison, short: Shorten) -> Table:
+    rows = [
+        [c.severity, f"{c.what} {short(c.channel)}".strip(), short(c.base), short(c.new), c.words]
+        for c in comparison.confounds
+    ]
+    heads = "Weight|What differs|First|Second|What it does"
+    empty = "Both tests were made and analysed alike."
+    return table_of("What else differs (confounds)", heads, rows, empty=empty)
+
+
+_TABLES: dict[str, Callable[[Comparison, Shorten], Table]] = {
+    "orders": _orders, "modes": _modes, "unbalance": _unbalance, "masses": _masses, "balance": _balance,
+    "trend": _trend, "confounds": _confounds,
+}  # fmt: skip
+"""Tables of the page by name; one without rows is shown where it has words for that."""

@@ -1,1 +1,0 @@
-"""What differs between two tests, how surely, and what would explain it."""

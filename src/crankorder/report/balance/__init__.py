@@ -1,1 +1,0 @@
-"""Text, figures and dataset of `crankorder balance`: the engine alone."""

@@ -1,0 +1,482 @@
+"""Pictures of an engine's balance: forces as they turn, against crank angle and by order; torque and loads; hinges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, get_args
+
+import numpy as np
+import xarray as xr
+
+from crankorder.engine.elastic_hinge import GUIDE_STEPS, Guides, Joint, hinge_guides, hinge_table
+from crankorder.engine.forces import speed_key, unbalance_force_n
+from crankorder.engine.hinged_crank import (
+    GuideData,
+    HingedCrankData,
+    HingedEngine,
+    crank_torque,
+    hinge_moment,
+    potential_torque,
+    side_force,
+    side_force_without_hinge,
+    torque_extrema,
+)
+from crankorder.plot.drawing import Area, Box, Drawing, Panel, Stroke, Words
+from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, WHITE, drawable, text_width_in
+from crankorder.plot.reading import number_text, order_text
+from crankorder.quantities import Complexes, Floats
+from crankorder.report.balance_dataset import (
+    COUNTERWEIGHTS,
+    NO_FORCE,
+    PLAIN,
+    SHAFT_SETS,
+    SYSTEMS,
+    alike,
+    axis_names,
+    called,
+    label_of,
+    order_sum,
+    present,
+)
+from crankorder.report.balance_panels import (
+    LEFT,
+    RIGHT,
+    Chart,
+    Curve,
+    Polar,
+    arrow_head,
+    boxes_of,
+    color_key,
+    draw_bars,
+    draw_chart,
+    frame_around,
+    headed,
+    polar_grid,
+)
+from crankorder.settings import ReportSettings
+
+_ORDERS = "order, cycles per crank revolution"
+_FROM_DEAD_CENTRE = "crank angle from top dead centre, °"
+MOMENT_TEXT = {"about_x": "about Z", "about_y": "about X", "about_crankshaft": "about Y, the crankshaft"}
+
+
+def system_color(name: str) -> str:
+    """Colour of the system ``name`` in every picture; the plain engine is ink, and no two of one engine are alike."""
+    if name in ("none", "own"):
+        return INK if name == "none" else LINES[-1]
+    return LINES[(list(SYSTEMS).index(name) - 1) % (len(LINES) - 1)]
+
+
+def _at_highest_speed(balance: xr.Dataset) -> tuple[float, float]:
+    """Highest speed (rpm), and newtons there of 1 g·mm over ω²."""
+    speed = float(balance["speed"].values.max())
+    return speed, float(unbalance_force_n(1.0, speed))
+
+
+def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
+    """Force along and across the cylinder against crank angle at the highest speed, before and after each balance.
+
+    Below it the moments of several cylinders: rocking moments left, roll moment right.
+    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
+    ``settings`` of the report.
+    """
+    speed, per_omega = _at_highest_speed(balance)
+    rows: list[list[Chart]] = []
+    sets = [("Counterweights", present(balance, COUNTERWEIGHTS)), ("Shafts", present(balance, SHAFT_SETS))]
+    for text, names in [row for row in sets if len(row[1]) > 1] or [("Force", ["none"])]:
+        newtons = per_omega * balance["curve"].sel(system=names)
+        labels = {group[0]: called(group, balance) if len(names) > 1 else "" for group in alike(newtons)}
+        rows.append([])
+        for axis, direction in zip("xy", axis_names(balance), strict=True):
+            curves = [
+                Curve(values, system_color(name), label, f"force-{axis}-{name}", 2.2 if name == "none" else 1.4)
+                for name, label in labels.items()
+                for values in [newtons.sel(system=name, axis=axis).values]
+            ]
+            rows[-1].append(Chart(f"{text} · {direction}", "N", curves, _FROM_DEAD_CENTRE))
+    if "moment" in balance:
+        values = 1e-3 * per_omega * order_sum(balance["moment"].values, balance["crank_angle"].values)
+        moments = [
+            Curve(values[number], LINES[number], MOMENT_TEXT[name], f"moment-{name}")
+            for number, name in enumerate(balance["moment_axis"].values.tolist())
+        ]
+        rocking = Chart("Rocking moments of the inertia forces", "N·m", moments[:2], _FROM_DEAD_CENTRE)
+        roll = Chart("Roll moment of the masses on the engine block", "N·m", moments[2:], _FROM_DEAD_CENTRE)
+        rows.append([rocking, roll])
+    drawing = Drawing(settings.width_in, settings.height_in)
+    for row, boxes in zip(rows, boxes_of(drawing, len(rows), 2), strict=True):
+        limit = 1.08 * max(float(np.abs(curve.values).max()) for chart in row for curve in chart.curves) or 1.0
+        for chart, box in zip(row, boxes, strict=True):
+            draw_chart(drawing, box, chart, 360 * balance["crank_angle"].values, limit=limit)
+    line = f"Force on the crankcase at {speed_key(speed)} rpm: {_in_words(balance, per_omega)}"
+    return headed(drawing, title, "force against crank angle", line, settings)
+
+
+def _in_words(balance: xr.Dataset, per_omega: float) -> str:
+    """Text with the peak force without balancing and the smallest residual with counterweights and with shafts."""
+    along, across = (balance["curve"].sel(axis=axis).values for axis in "xy")
+    most = per_omega * np.hypot(along, across).max(axis=1)
+    newtons = dict(zip(map(str, balance["system"].values), most.tolist(), strict=True))
+    if not newtons["none"]:
+        return "none"
+    plain = "without balancing" if balance.attrs[PLAIN] == SYSTEMS["none"][0] else balance.attrs[PLAIN]
+    line = f"up to {number_text(newtons['none'])} N" + (f" {plain}" if len(newtons) > 1 else "")
+    for kinds in (COUNTERWEIGHTS[1:4], SHAFT_SETS[1:]):
+        if left := present(balance, kinds):
+            best = min(left, key=lambda name: newtons[name])
+            line += f", {number_text(newtons[best])} N with {SYSTEMS[best][0]}"
+    return line
+
+
+def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
+    """Primary force, secondary force and their sum against crank angle at the highest speed, without any balancing.
+
+    Faint behind them all orders together. Positive away from the crankshaft: the piston pulls on its rod.
+    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
+    ``settings`` of the report. Source: Ruckle 2014, figure 7 (after Foale 2007).
+    """
+    speed, per_omega = _at_highest_speed(balance)
+    plain, angle = balance.sel(system="none"), balance["crank_angle"].values
+    shown = [axis for axis in "xy" if np.abs(plain["force"].sel(axis=axis)).max() > 0] or ["x"]
+    drawing = Drawing(settings.width_in, 0.72 * settings.height_in)
+    limit = 1.12 * per_omega * float(np.abs(plain["curve"]).max()) or 1.0
+    parts = (("both", INK, 3.0, [1.0, 2.0]), ("primary", LINES[0], 1.3, [1.0]), ("secondary", LINES[1], 1.3, [2.0]))
+    for axis, box in zip(shown, boxes_of(drawing, 1, len(shown))[0], strict=True):
+        every = per_omega * plain["curve"].sel(axis=axis).values
+        curves = [Curve(every, FAINT, "all orders", f"all-{axis}", 5.5, 0.4)]
+        for name, color, width, orders in parts:
+            amplitudes = plain["force"].sel(axis=axis).where(balance["order"].isin(orders), 0).values
+            curves.append(Curve(per_omega * order_sum(amplitudes, angle), color, name, f"{name}-{axis}", width))
+        direction = axis_names(balance)["xy".index(axis)]
+        draw_chart(drawing, box, Chart(direction, "N", curves, _FROM_DEAD_CENTRE), 360 * angle, limit=limit)
+    first, second = (complex(plain["force"].sel(axis="x", order=order).values) for order in (1.0, 2.0))
+    ratio = "no secondary force." if first else "no primary force."
+    if first and second:
+        share = 100 * (second.real / first.real) if first.real else 0.0
+        ratio = f"the secondary one adds {share:.3g} % at top dead centre and takes as much off at the bottom."
+    line = f"Force of the moving masses at {speed_key(speed)} rpm, {label_of('none', balance)}; {ratio}"
+    return headed(drawing, title, "primary and secondary", line, settings)
+
+
+def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
+    """Amplitude of the force by order along and across the cylinder, and moments of several cylinders, as bars.
+
+    Newtons (or N·m) at the highest speed at the left, the amount over squared crank speed at the right, both
+    logarithmic. ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the
+    engine; ``settings`` of the report.
+    """
+    speed, per_omega = _at_highest_speed(balance)
+    least = float(10 ** (-settings.dynamic_range_db / 20))  # of the largest, that a bar has
+    tall = _tall_orders(balance, least)
+    last = max([4.0, *tall[: settings.max_labelled_orders]])
+    shown = balance.sel(order=slice(None, last))
+    systems = [names for names in alike(balance["force"]) if balance["force"].sel(system=names[0]).any()]
+    forces = np.abs(shown["force"].sel(system=[names[0] for names in systems or [["none"]]]).values)
+    panels = [
+        (name[0].upper() + name[1:], "N", list(forces[:, row]), systems or [["none"]])
+        for row, name in enumerate(axis_names(balance))
+    ]
+    if "moment_by_system" in balance:
+        rocking = alike(balance["moment_by_system"])
+        moments = shown["moment_by_system"].sel(system=[names[0] for names in rocking]).values
+        about_z, about_x, roll = 1e-3 * moments.swapaxes(0, 1)
+        # the couple along Z and X as what turns with the crank and against it: the largest of the turn is their sum
+        couple = (np.abs(about_x + 1j * about_z) + np.abs(about_x - 1j * about_z)) / 2
+        panels.append(("Rocking couple, the most of a turn", "N·m", list(couple), rocking))
+        panels.append(("Roll moment of the masses", "N·m", list(np.abs(roll)), rocking))
+    drawing = Drawing(settings.width_in, settings.height_in * (1.35 if len(panels) > 2 else 1.0))
+    boxes = [box for (box,) in boxes_of(drawing, len(panels), 1, right=1.0, gap=0.62)]
+    orders = {float(order): order_text(order) for order in shown["order"].values}
+    for number, ((name, unit, heights, groups), box) in enumerate(zip(panels, boxes, strict=True)):
+        most = per_omega * max(float(np.max(panel[2])) for panel in panels if panel[1] == unit)
+        low, high = (least * most, 4 * most) if most else (1e-3, 1.0)
+        panel = Panel(drawing, box, (0.4, last + 0.6), (low, high), log_y=True)
+        panel.y_axis(unit)
+        factor, right = (per_omega, "g·mm") if unit == "N" else (1e-3 * per_omega, "g·mm²")
+        over_omega = replace(panel, y=(low / factor, high / factor))
+        over_omega.y_axis(f"over ω², {right}", grid=False, right=True)
+        draw_bars(panel, orders, [per_omega * sizes for sizes in heights], [system_color(n[0]) for n in groups], low)
+        if not np.max(heights) * per_omega > low:
+            panel.note(f"no {'force' if unit == 'N' else 'moment'} of any order")
+        drawing.add(Words(box[0], box[1] + box[3] + 0.08, name))
+        if number in (0, 2) and len(groups) > 1:
+            start = text_width_in(name, NORMAL) + 0.3
+            key = [(called(names, balance), system_color(names[0])) for names in groups]
+            color_key(drawing, (box[0] + start, box[1], box[2] - start, box[3]), key)
+    drawing.add(Words(boxes[-1][0] + boxes[-1][2] / 2, 0.2, _ORDERS, along="centre"))
+    line = f"Amplitude at {speed_key(speed)} rpm. Bars below {100 * least:.1g} % of the largest are left out."
+    line += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
+    idle = [str(name) for name in balance["system"].values if not any(name in names for names in systems)]
+    line += f" No force: {called(idle, balance)}." if idle else ""
+    return headed(drawing, title, "force by order", line, settings)
+
+
+def _tall_orders(balance: xr.Dataset, least: float) -> list[float]:
+    """Orders at which a force or a moment is above its share ``least`` of the largest, ascending."""
+    high = np.zeros(balance.sizes["order"], dtype=bool)
+    for name in {"force", "moment_by_system"} & set(balance):
+        amplitude = np.abs(balance[name].transpose(..., "order").values).reshape(-1, len(high))
+        high |= (amplitude > least * amplitude.max()).any(axis=0)
+    return [float(order) for order in balance["order"].values[high]]
+
+
+_TURNS = {
+    "with crank": "turns with the crank", "against crank": "turns against the crank", "line": "swings to and fro",
+    "none": "",
+}  # fmt: skip
+
+
+def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
+    """Curve that the force draws during a revolution at the highest speed, for each way of balancing, to one scale.
+
+    Counterweights come twice: by the first harmonic alone, whose curves are ellipses, and by all harmonics together.
+    Up is along the cylinder, right is across it, to the side that the crank turns to; the crank turns clockwise.
+    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
+    ``settings`` of the report.
+    """
+    speed, per_omega = _at_highest_speed(balance)
+    angle, system = balance["crank_angle"].values, balance["system"].values.tolist()
+    turning = dict(zip(system, balance["rotation"].values.tolist(), strict=True))
+    along, across = order_sum(balance["force"].sel(order=[1.0]).values, angle).swapaxes(0, 1)
+    whole = balance["curve"].sel(axis="x").values + 1j * balance["curve"].sel(axis="y").values
+    first, every = (dict(zip(system, per_omega * drawn, strict=True)) for drawn in (along + 1j * across, whole))
+    frame = frame_around(max(float(np.abs(curve).max()) for curve in (*first.values(), *every.values())))
+
+    def diagrams(names: Sequence[str], curves: Mapping[str, Complexes]) -> list[Polar]:
+        polars = []
+        for name in present(balance, names):
+            most = float(np.abs(curves[name]).max())
+            built = name == "none" and balance.attrs[PLAIN] != SYSTEMS["none"][0]
+            meaning = "counterweights of its file, no shaft" if built else SYSTEMS[name][1]
+            head = (label_of(name, balance), meaning) if len(system) > 1 else ("force", "")
+            reach = f"up to {number_text(most)} N" if most > NO_FORCE * frame else "no force"
+            polars.append(Polar(curves[name], system_color(name), frame, (*head, reach, _TURNS[turning[name]])))
+        return polars
+
+    rows = [("first harmonic alone", diagrams(COUNTERWEIGHTS, first))] if along.any() or across.any() else []
+    rows.append(("all harmonics", diagrams(COUNTERWEIGHTS, every)))
+    rows.append(("shafts, all harmonics", diagrams(SHAFT_SETS[1:], every)))
+    if "moment" in balance:
+        about_z, about_x, _ = 1e-3 * per_omega * order_sum(balance["moment"].values, angle)
+        moment = about_z + 1j * about_x
+        most = float(np.abs(moment).max())
+        limit = frame_around(most)
+        reach = [f"up to {number_text(most)} N·m", f"its axis; the frame is ±{number_text(limit)} N·m"]
+        captions = ["rocking moment", "", *(reach if most else ("no moment", ""))]
+        rows[-2][1].append(Polar(moment, LINES[1], limit, captions))
+    rows = [row for row in rows if row[1]]
+    drawing, boxes = polar_grid([row for _, row in rows], settings, widest=4.4)
+    for (text, _), row in zip(rows, boxes, strict=True):
+        drawing.add(Words(0.42, row[0][1] + row[0][3] / 2, text, bold=True, along="centre", upward=True))
+    _crank_sense(drawing, boxes[0][0])
+    up, right = axis_names(balance)
+    line = f"Up {up}, right {right}; dots mark top dead centre. {speed_key(speed)} rpm; the frame is "
+    return headed(drawing, title, "polar diagrams", f"{line}±{number_text(frame)} N.", settings)
+
+
+def _crank_sense(drawing: Drawing, box: Box) -> None:
+    """Arrow in the upper left corner of a polar diagram in the sense of rotation of the crank."""
+    centre = np.array([box[0] + 0.29, box[1] + box[3] - 0.33])
+    turn = np.radians(np.linspace(150, 30, 20))
+    arc = centre + 0.2 * np.column_stack([np.cos(turn), np.sin(turn)])
+    drawing.add(Stroke(arc[:-2], FAINT, 1.0))
+    arrow_head(drawing, arc[-4], arc[-1], FAINT)
+    drawing.add(Words(float(centre[0]), float(centre[1]), "crank", SMALL - 1, FAINT, along="centre"))
+
+
+def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Drawing:
+    """Turning moment of gas and masses against crank angle at the highest speed, and both by order beside one another.
+
+    ``cycle`` as :func:`crankorder.report.balance_dataset.cycle_dataset` makes it; ``turning`` by speed, of the balance
+    sheet; ``title`` of the engine; ``settings`` of the report.
+    """
+    drawing = Drawing(settings.width_in, settings.height_in)
+    speed = float(cycle["speed"].values.max())
+    moment, shown = turning[speed_key(speed)], cycle.sel(speed=speed)
+    gas, masses = shown["gas_torque"].values, shown["inertia_torque"].values
+    curves, kinds = [Curve(masses, LINES[0], "masses")], {"inertia_n_m": LINES[0]}
+    if gas.any():  # the sum lies below the others: where it is alike with one of them both are seen
+        curves = [Curve(gas + masses, INK, "together", width=3.0), Curve(gas, LINES[1], "gas"), *curves]
+        kinds = {"gas_n_m": LINES[1], **kinds}
+    (above,), (below,) = boxes_of(drawing, 2, 1)
+    panel = draw_chart(drawing, above, Chart("", "N·m", curves), shown["crank_angle"].values)
+    if moment["power_w"] is not None:
+        panel.curve(np.array(panel.x), np.full(2, moment["mean_n_m"]), color=INK, width=0.9, dashes=(4.0, 3.0))
+    heights = np.array([[of_order[kind] for of_order in moment["by_order"].values()] for kind in kinds])
+    largest = float(heights.max(initial=0.0))
+    tall = np.flatnonzero(heights.max(axis=0) > 1e-3 * largest)[:12]
+    names = list(moment["by_order"])
+    panel = Panel(drawing, below, (-0.6, max(len(tall), 6) - 0.4), (0.0, 1.15 * largest or 1.0))
+    panel.y_axis("N·m, amplitude")
+    orders = {float(place): names[at] for place, at in enumerate(tall)}
+    draw_bars(panel, orders, list(heights[:, tall]), list(kinds.values()), 0.0)
+    drawing.add(Words(below[0] + below[2] / 2, below[1] - 0.36, _ORDERS, along="centre"))
+    ends = f"{number_text(moment['least_n_m'])} to {number_text(moment['peak_n_m'])} N·m"
+    mean = "" if moment["power_w"] is None else f"; mean {number_text(moment['mean_n_m'])} N·m (dashed)"
+    swing = moment["speed_fluctuation"]
+    swings = "" if swing is None else f"; the speed swings by {number_text(100 * swing)} %"
+    line = f"Torque on the crank at {speed_key(speed)} rpm, {ends}{mean}{swings}."
+    return headed(drawing, title, "turning moment", line, settings)
+
+
+def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
+    """Loads at the highest speed: the first cylinder's against crank angle, and every main bearing's as polar diagrams.
+
+    ``cycle`` as :func:`crankorder.report.balance_dataset.cycle_dataset` makes it, with loads; ``title`` of the engine;
+    ``settings`` of the report.
+    """
+    speed = float(cycle["speed"].values.max())
+    shown = cycle.sel(speed=speed)
+    first = shown.isel(cylinder=0)
+    loads = {"crank pin of cylinder 0": first["crank_pin_load"].values}
+    if "main_bearing_load" in shown:
+        for place, (x, z) in zip(shown["bearing"].values, shown["main_bearing_load"].values, strict=True):
+            loads[f"main bearing at {1e3 * float(place):.4g} mm".replace("-", "−")] = np.stack([z, x])
+    peaks = [float(np.hypot(*load).max()) for load in loads.values()]
+    of_pin, of_bearings = frame_around(peaks[0]), frame_around(max(peaks[1:], default=0.0))
+    polars = []
+    for number, ((name, load), peak) in enumerate(zip(loads.items(), peaks, strict=True)):
+        closed = np.append(load, load[:, :1], axis=1)
+        ways, limit = ("up: Z, right: X", of_bearings) if number else ("up: along the cylinder, right: across", of_pin)
+        captions = (name, f"up to {number_text(peak)} N; {ways}")
+        polars.append(Polar(closed[0] + 1j * closed[1], LINES[number % len(LINES)], limit, captions))
+    rows = [polars[at : at + 3] for at in range(0, len(polars), 3)]
+    above = 4.3  # for the curves
+    drawing, _ = polar_grid(rows, settings, widest=3.2, above=above)
+    crank_pin, piston_pin = (np.hypot(*first[name].values) for name in ("crank_pin_load", "piston_pin_load"))
+    pins = [Curve(crank_pin, LINES[0], "crank pin"), Curve(piston_pin, LINES[1], "piston pin")]
+    if np.allclose(crank_pin, piston_pin, rtol=1e-6):  # the file gives the rod no mass of its own
+        pins = [Curve(crank_pin, LINES[0], "crank pin and piston pin alike")]
+    pins.append(Curve(first["wall_load"].values, LINES[len(pins)], "wall, in the crank's way"))
+    box = (LEFT, drawing.height_in - above + 0.6, settings.width_in - LEFT - RIGHT, 2.6)
+    draw_chart(drawing, box, Chart("", "N, cylinder 0", pins), shown["crank_angle"].values)
+    line = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(of_pin)} N for the pin"
+    line += "." if len(peaks) == 1 else f", ±{number_text(of_bearings)} N for the main bearings."
+    return headed(drawing, title, "loads", line, settings)
+
+
+_ANGLES = np.arange(361) / 360
+
+
+def hinge_figure(
+    engine: HingedEngine, mechanism: HingedCrankData, speeds_rpm: tuple[float, ...], *, settings: ReportSettings
+) -> Drawing:
+    """Crank torque, side force without and with hinge, M12, and the moments of both hinges, for one mechanism.
+
+    ``engine``: whose torque drives it. ``mechanism``: one of the engine's. ``speeds_rpm``: crank speeds, > 0, a line
+    each. ``settings``: of the report.
+    """
+    crank, curve = mechanism.crank, engine.curve
+
+    def by_speed(name: str, values: Callable[[float], Floats]) -> list[Curve]:
+        return [
+            Curve(values(speed), LINES[number % len(LINES)], f"{speed:.0f} rpm", f"{name}-{number}")
+            for number, speed in enumerate(speeds_rpm)
+        ]
+
+    def moment(kind: Any) -> Callable[[float], Floats]:
+        return lambda speed: hinge_moment(_ANGLES, crank, curve, speed_rpm=speed, pin_hinge=kind)
+
+    def of_hinge(joint: Joint) -> list[Curve]:
+        return by_speed(joint, lambda speed: hinge_table(crank, curve, joint=joint, speed_rpm=speed).moment_nm)
+
+    left, hinges = [], {"printed": ("after equation (6)", LINES[1]), "potential": ("of a spring, without work", INK)}
+    for kind, (text, color) in hinges.items():
+        force = side_force(_ANGLES, crank, curve, pin_hinge=kind)  # type: ignore[arg-type]  # a Literal, by its text
+        most = f"{text}: up to {number_text(float(np.abs(force).max()))} N"
+        left.append(Curve(force, color, most, f"side-force-{kind}"))
+    torque = [
+        Curve(crank_torque(_ANGLES, curve), INK, "whole", "torque"),
+        Curve(potential_torque(_ANGLES, curve), LINES[0], "without its mean", "torque-potential", 0.9),
+    ]
+    without = by_speed("side-force", lambda speed: side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed))
+    between = by_speed("m12-full", moment("full"))
+    for line in by_speed("m12-printed", moment("printed")):
+        between.append(line._replace(text="", width=2.2, alpha=0.6, dashes=(3.0, 2.0)))
+    charts = (
+        Chart("Crank torque, and its part without work", "N·m", torque),
+        Chart("Side force without a hinge, R430 (5)", "N", without),
+        Chart("Side force that a hinge leaves, R43 (7)", "N", left),
+        Chart("Moment between crank and rod, M12 (4); dashed (6)", "N·m", between),
+        Chart("Hinge at the crank pin (a spring)", "N·m", of_hinge("pin"), "hinge angle, °"),
+        Chart("Hinge between strut and crank (a spring)", "N·m", of_hinge("strut")),
+    )
+    drawing = Drawing(settings.width_in, 1.38 * settings.height_in)
+    boxes = [box for row in boxes_of(drawing, 3, 2) for box in row]
+    drawn = [draw_chart(drawing, box, chart, 360 * _ANGLES) for chart, box in zip(charts, boxes, strict=True)]
+    _mark_torque(drawn[0], curve.mean_nm, *torque_extrema(curve))
+    subtitle = f"{drawable(engine.title, 2 * settings.max_name_characters)}. At a constant crank speed."
+    return headed(drawing, mechanism.name, "elastic hinges", subtitle, settings)
+
+
+def _mark_torque(panel: Panel, mean_nm: float, angles_rev: Floats, torques_nm: Floats) -> None:
+    """Mean and extrema of the crank torque."""
+    panel.curve(np.array(panel.x), np.full(2, mean_nm), color=LINES[1], width=0.9)
+    right, level = panel.at(356.0, mean_nm)[0]
+    mean = f"mean {number_text(mean_nm)} N·m"
+    panel.drawing.add(Words(right, level + 0.04, mean, SMALL, LINES[1], along="right"))
+    panel.rings(360 * angles_rev, torques_nm, color=INK, radius=1.5)
+    for (x, y), torque in zip(panel.at(360 * angles_rev, torques_nm), torques_nm, strict=True):
+        shift = 0.07 if torque > mean_nm else -0.19
+        panel.drawing.add(Words(x, y + shift, number_text(float(torque)), SMALL, along="centre"))
+
+
+def guide_figure(
+    engine: HingedEngine, mechanism: HingedCrankData, speed_rpm: float, *, settings: ReportSettings
+) -> Drawing:
+    """Guides of the hinges of a mechanism that has them, to scale, with spring and rollers (document 003, figure 7).
+
+    ``engine``: whose torque drives it. ``mechanism``: one of the engine's, with guides. ``speed_rpm``: crank speed that
+    they are for, > 0. ``settings``: of the report.
+    """
+    side = (settings.width_in - 0.6) / 2 - 0.5
+    drawing = Drawing(settings.width_in, side + 1.75)
+    stated = zip(get_args(Joint), (mechanism.pin_guides, mechanism.strut_guides), strict=True)
+    for number, (joint, data) in enumerate((joint, data) for joint, data in stated if data is not None):
+        table = hinge_table(mechanism.crank, engine.curve, joint=joint, speed_rpm=speed_rpm, n_steps=GUIDE_STEPS)
+        guides = hinge_guides(table, data)
+        left = 0.3 + number * (side + 0.5)
+        _draw_guides(drawing, (left, 0.2, side, side), guides, data)
+        place = "at the crank pin" if joint == "pin" else "between strut and crank"
+        drawing.add(Words(left + side / 2, side + 0.62, f"Hinge {place}", bold=True, along="centre"))
+        cut = "sharper than the roller: it cannot be cut" if guides.undercut else "the roller reaches every point"
+        text = f"spring {number_text(1e-3 * guides.stiffness_n_per_m)} N/mm, steepest {guides.steepest_deg:.0f}°; {cut}"
+        drawing.add(Words(left + side / 2, side + 0.42, text, SMALL + 0.5, along="centre"))
+    subtitle = f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; "
+    subtitle += "the spring between them is shown at four angles."
+    return headed(drawing, mechanism.name, "guides of the elastic hinges", subtitle, settings)
+
+
+def _draw_guides(drawing: Drawing, box: Box, guides: Guides, data: GuideData) -> None:
+    """Both guides shaded, the rollers' paths faint, and the spring at four angles."""
+    limit = 1.14 * float(np.abs(guides.outer_m).max())
+    panel = Panel(drawing, box, (-limit, limit), (-limit, limit))
+    turn = np.exp(2j * np.pi * guides.hinge_angle_rev)
+    for outline in (np.concatenate([limit / 1.01 * turn, guides.outer_m[::-1]]), guides.inner_m):
+        drawing.add(Area(panel.at(outline.real, outline.imag), GRID))
+    for surface in (guides.outer_m, guides.inner_m):
+        panel.curve(surface.real, surface.imag, color=INK, name="guide")
+    paths = [(data.middle_radius_m + sign * guides.length_m / 2) * turn for sign in (1, -1)]
+    for path in paths:
+        panel.curve(path.real, path.imag, color=FAINT, width=0.7, dashes=(4.0, 3.0))
+    quarter, radius = len(turn) // 4, 72 * data.roller_radius_m * box[2] / (2 * limit)
+    for row in (number * quarter + quarter // 3 for number in range(4)):
+        ends = np.array([path[row] for path in paths])
+        spring = _spring(*ends)
+        panel.curve(spring.real, spring.imag, color=LINES[1], width=1.0)
+        panel.rings(ends.real, ends.imag, color=WHITE, radius=radius)
+        panel.rings(ends.real, ends.imag, color=LINES[1], radius=radius, width=1.3)
+    x, y = panel.at(0.0, 0.0)[0]
+    drawing.add(Words(x, y, "+", NORMAL + 2, along="centre", across="centre"))
+    for angle_deg in range(0, 360, 30):
+        x, y = panel.at(*(0.93 * limit * np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])))[0]
+        drawing.add(Words(x, y, f"{angle_deg}°", SMALL, FAINT, along="centre", across="centre"))
+
+
+def _spring(outer: complex, inner: complex) -> Complexes:
+    """Zigzag line of a spring from ``inner`` to ``outer``."""
+    share = np.linspace(0, 1, 25)
+    across = 1j * (outer - inner) / abs(outer - inner) * 0.011
+    sway = np.where((share > 0.1) & (share < 0.9), np.where(np.arange(25) % 2, 1, -1), 0)
+    return np.asarray(inner + share * (outer - inner) + sway * across)

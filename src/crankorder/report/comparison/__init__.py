@@ -1,1 +1,0 @@
-"""Page, pictures and sentences of `crankorder compare`."""
