@@ -68,10 +68,10 @@ def test_gaps_in_the_frames_do_no_harm():
 
 def test_the_interval_of_the_order_holds_it_as_often_as_it_says():
     hits = 0
-    for seed in range(50):
+    for seed in range(30):
         (item,) = agreed(lambda angle, _, s=seed: wave(angle, 4.013, 1.0, float(s)), seed=seed, revs=60)
         hits += abs(item.order - 4.013) <= half_width(item)
-    assert hits >= 44  # fewer with a chance of 1 % where it is 95 %
+    assert hits >= 26  # fewer with a chance of 2 % where it is 95 %
 
 
 def test_two_shafts_half_a_percent_apart_are_told_in_a_run_up():

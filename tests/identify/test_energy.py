@@ -113,10 +113,10 @@ def test_a_line_and_a_tone_have_half_their_amplitude_squared_by_their_cause(know
 
 
 def test_noise_alone_is_broadband_but_for_the_stated_chance():
-    made = [shares(campbell(seed=seed)) for seed in range(100)]
+    made = [shares(campbell(seed=seed)) for seed in range(60)]
     assert all(item["cells_judged"] for item in made)
-    # 1 % is stated; 3 of 300 were measured, and 5 of 100 would have a chance of 0.3 %
-    assert sum(item["unexplained_energy_fraction"] > 0.0 for item in made) < 5
+    # 1 % is stated; 3 of 300 were measured, and 4 of 60 would have a chance of 0.3 %
+    assert sum(item["unexplained_energy_fraction"] > 0.0 for item in made) < 4
     assert all(item["channels"][0]["modes_and_floor"] > 0.9999 for item in made)
 
 

@@ -47,7 +47,7 @@ def test_a_line_in_too_short_a_test_is_named_with_its_reservation():
 # A speed that the vibration tells only in doubt carries no sentence that is sure of it.
 
 
-MANIFEST = manifest("*.h5", channels={"Z": {"source": "z"}}, sampling={"rate_hz": 8192}, encoder={"kind": "vibration"})
+MANIFEST = manifest("*.h5", channels={"Z": {"source": "z"}}, sampling={"rate_hz": 4096}, encoder={"kind": "vibration"})
 
 
 def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed():
@@ -63,7 +63,7 @@ def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed():
 
 
 def test_even_orders_alone_leave_the_speed_open_and_the_page_says_so(tmp_path):
-    rng, at = np.random.default_rng(3), np.arange(4 * 8192) / 8192.0
+    rng, at = np.random.default_rng(3), np.arange(4 * 4096) / 4096.0
     signal = sum(size * np.cos(2 * np.pi * k * 25.0 * at + k) for k, size in ((2.0, 1.0), (4.0, 0.6), (6.0, 0.4)))
     signal = signal + 3.0 * np.cos(2 * np.pi * 73.3 * at) + 0.5 * rng.standard_normal(at.size)
     (tmp_path / "in").mkdir()

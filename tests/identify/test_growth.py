@@ -20,10 +20,10 @@ def line_of(rng, true, *, speed=SPEEDS, relative=0.03, freedom=24.0):
     return OrderLine("A", 5.5, 1e-4, at, speed, seen, stated, known, none, "locked to the shaft", 20.0)
 
 
-@pytest.mark.parametrize(("exponent", "count"), [(0.0, 35), (2.0, 8), (1.0, 4)])
+@pytest.mark.parametrize(("exponent", "count"), [(0.0, 35), (1.0, 4)])
 def test_the_intervals_of_exponent_and_mean_level_hold_them_as_often_as_they_say(exponent, count):
     rng, speed, inside = np.random.default_rng(12), np.linspace(400.0, 2000.0, count), []
-    for _ in range(400):
+    for _ in range(250):
         line = line_of(rng, (speed / 1000.0) ** exponent, speed=speed)
         low, high = growth(line).ci95
         level = mean_level(line)

@@ -59,10 +59,10 @@ def test_the_speed_that_is_above_is_named_and_what_is_below_is_within():
 def test_a_limit_at_the_level_is_seldom_called_passed_or_kept():
     """At four speeds with the level at the limit either verdict is a chance of some per cent."""
     verdicts = []
-    for seed in range(40):
+    for seed in range(25):
         made = measured(dict.fromkeys((900.0, 1500.0, 2100.0, 2700.0), 2.0), seed=seed, seconds=4.0)
         verdicts.append(limit_verdicts(made, None, sources(2.0))[0].verdict)
-    assert verdicts.count("above") <= 4 and verdicts.count("within") <= 1  # 2.5 % of "above" is wanted
+    assert verdicts.count("above") <= 3 and verdicts.count("within") <= 1  # 2.5 % of "above" is wanted
 
 
 def test_what_cannot_be_told_is_not_decided():

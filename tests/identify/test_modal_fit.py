@@ -57,7 +57,7 @@ def test_a_floor_that_grows_and_order_lines_leave_no_other_mode_behind(changes, 
 
 def test_white_noise_has_neither_modes_nor_tones():
     made = replace(THREE, sensor=((0.0, 0.0),) * 3)
-    for seed in range(10):
+    for seed in range(5):
         fit = _fit(made, seed)
         assert not fit.modes and not fit.tones
 

