@@ -5,6 +5,8 @@ import pytest
 from scipy.special import stdtrit
 
 from crankorder.identify.lines.agreed_orders import IN_SWEEP, orders_agreed
+from crankorder.identify.lines.growth import largest
+from crankorder.identify.lines.line_phasors import lock_of, proves_speed, revs_to_decide
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -66,10 +68,10 @@ def test_gaps_in_the_frames_do_no_harm():
 
 def test_the_interval_of_the_order_holds_it_as_often_as_it_says():
     hits = 0
-    for seed in range(50):
+    for seed in range(30):
         (item,) = agreed(lambda angle, _, s=seed: wave(angle, 4.013, 1.0, float(s)), seed=seed, revs=60)
         hits += abs(item.order - 4.013) <= half_width(item)
-    assert hits >= 44  # fewer with a chance of 1 % where it is 95 %
+    assert hits >= 26  # fewer with a chance of 2 % where it is 95 %
 
 
 def test_two_shafts_half_a_percent_apart_are_told_in_a_run_up():
@@ -84,7 +86,6 @@ def test_two_shafts_half_a_percent_apart_are_told_in_a_run_up():
     assert [item.lock for item in found] == ["locked", "slips"]
 
 
-@pytest.mark.slow
 def test_in_a_sweep_no_number_of_revolutions_is_asked_for():
     """A run-up of 120 revolutions of which each speed group has few frames."""
     angle, rng = angle_of(120), np.random.default_rng(2)
@@ -96,37 +97,117 @@ def test_in_a_sweep_no_number_of_revolutions_is_asked_for():
     assert all(item.lock != "undecided" or IN_SWEEP in item.doubts for item in found)
 
 
-@pytest.mark.slow
 def test_a_line_at_the_end_of_the_orders_is_told_from_the_skirt_of_one_beyond():
     """Orders go to 20 in bins of 1/16: a line up to half a bin beyond is told, of one farther out nothing is said."""
-    rng, end, half_bin = np.random.default_rng(14), 20.0, 0.5 / 16
-    for seed in range(40):
-        beyond, revs = rng.uniform(-2.0, 3.0) * half_bin, int(rng.integers(30, 400))
-        noise = 10 ** rng.uniform(-2, -1)
-        found = agreed(lambda angle, _, at=end + beyond: wave(angle, at, 1.0), seed=seed, revs=revs, noise=noise)
-        if beyond < 0.9 * half_bin:
-            assert [item.order for item in found] == pytest.approx([end + beyond], abs=2e-3)
-        elif beyond > 1.1 * half_bin:
-            assert found == ()
+    for beyond, is_told in ((-0.05, True), (0.027, True), (0.035, False), (0.08, False)):
+        found = agreed(lambda angle, _, at=20.0 + beyond: wave(angle, at, 1.0), revs=120, noise=0.03)
+        assert [item.order for item in found] == pytest.approx([20.0 + beyond] * is_told, abs=2e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("swept", [False, True])
-def test_a_locked_line_and_one_beside_it_that_nothing_parts_are_no_line_that_slips(swept):
-    """Less than three beats in a steady recording, or less than a bin apart in the longest frames of a sweep."""
-    for seed in range(16, 24):
-        rng = np.random.default_rng(seed)
-        revs = int(rng.integers(60, 150))
-        angle, exact = angle_of(revs), float(rng.choice([1.0, 1.5, 2.0, 5.5]))
-        beside = exact - rng.uniform(0.3, 2.5) / revs
-        frames = []
-        for rpm in (1500.0,) if swept or seed % 2 == 0 else (1000.0, 1500.0, 2000.0):
-            size, phase = rng.uniform(0.5, 1.0, 2), rng.uniform(0.0, 6.28, 2)
-            lines = (wave(angle, order, *each) for order, *each in zip((exact, beside), size, phase, strict=True))
-            signal = sum(lines) + 0.05 * rng.standard_normal(len(angle))
-            frames.append(frames_of([signal]))
-            count = frames[-1].sizes["frame"]
-            frames[-1]["speed"].values[:] = np.linspace(900.0, 2400.0, count) if swept else rpm
-        found = agreed_in(frames)
-        slips = [one for one in found if one.lock == "slips"]
-        assert all(abs(one.order - beside) < half_width(one) + 2e-4 * exact for one in slips), (seed, exact, beside)
+# Lines within one bin at a held speed: two are solved together, more are said to swell.
+
+
+def test_a_locked_line_that_the_energy_of_its_bin_hides_is_found_by_its_phase():
+    hidden = 0
+    for seed in range(6):
+        rng, angle = np.random.default_rng([seed, 8]), angle_of(1100)
+        signal = wave(angle, 1.0, 2.0) + wave(angle, 2.0, 0.055, 1.0) + rng.standard_normal(len(angle))
+        frames = frames_of([signal])
+        made = order_map([frames], settings=SETTINGS.orders)
+        found = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
+        hidden += len(found) == 2 and abs(found[1].order - 2.0) < 0.1 and found[1].evidence == "locked to the shaft"
+    assert hidden >= 5
+
+
+def test_a_line_whose_size_swings_stays_one():
+    rng, angle = np.random.default_rng([0, 13]), angle_of(740)
+    swell = 1.0 + 0.4 * np.cos(2.0 * np.pi * angle * rng.uniform(3.0, 6.0) / 740.0 + rng.uniform(0.0, 6.0))
+    signal = swell * wave(angle, 3.0, 1.0) + 0.1 * rng.standard_normal(len(angle))
+    found = agreed_in([frames_of([signal], speed_rpm=1482.0)])
+    assert [one.order for one in found] == pytest.approx([3.0], abs=3e-4)
+
+
+# Two lines closer than a frame resolves are solved together, with intervals that hold both.
+
+
+def beside(seed, *, revs, order, size, noise=0.5):
+    """Orders found where one of ``order`` and ``size`` stands beside 5.5 of size 1, in two channels."""
+    rng, angle = np.random.default_rng([seed, revs]), angle_of(revs)
+    phases = rng.uniform(0.0, 2.0 * np.pi, 2)
+    signal = wave(angle, 5.5, 1.0, phases[0]) + wave(angle, order, size, phases[1])
+    return agreed_in([frames_of([signal + noise * rng.standard_normal(len(angle)) for _ in range(2)])])
+
+
+@pytest.mark.parametrize(("revs", "order", "size"), [(600, 5.467, 0.5), (200, 5.489, 0.5), (200, 5.467, 0.1)])
+def test_both_lines_are_found_and_lie_in_their_intervals(revs, order, size):
+    numbers, sizes = [], []
+    for seed in range(6):
+        found = beside(seed, revs=revs, order=order, size=size)
+        assert len(found) == 2 and found[0].lock != "locked"
+        for item, true, amplitude in zip(found, (order, 5.5), (size, 1.0), strict=True):
+            within = half_width(item)
+            numbers.append(abs(item.order - true) <= within + 1e-12)
+            ends = [largest(line) for line in item.lines]
+            sizes += [one.low <= amplitude <= one.high for one in ends]
+    # of 12 orders and 24 amplitudes fewer than 0.8 are inside with a chance of 1e-3 where it is 95 %
+    assert np.mean(numbers) >= 0.8 and np.mean(sizes) >= 0.8
+
+
+def test_lines_that_a_recording_cannot_part_are_one_whose_intervals_hold_both_and_say_so():
+    (item,) = beside(0, revs=60, order=5.467, size=0.5)
+    assert "swells" in [doubt.kind for doubt in item.doubts]
+    within = half_width(item)
+    assert abs(item.order - 5.5) < within and abs(item.order - 5.467) < within
+    assert item.lock != "slips"
+    for line in item.lines:
+        assert "its amplitude changes within the recording" in line.remark
+        assert largest(line).low <= 1.0 <= largest(line).high
+
+
+# Locked, slipping or undecided, and how long one must measure to tell.
+
+
+def lock(order, error, **given):
+    return lock_of(order, error, 30.0, **({"revs_per_cycle": 2, "by_phase": True} | given))
+
+
+def test_a_number_is_locked_slips_or_is_undecided_by_its_interval_its_phase_and_the_cycle():
+    wanted = [
+        (5.5002, 2e-4, {}, "locked"),
+        (5.489, 2e-4, {}, "slips"),
+        (4.75, 2e-4, {}, "slips"),
+        (5.498, 3e-3, {}, "undecided"),
+        (5.5, 1e-5, {"by_phase": False}, "undecided"),
+        (5.5, 1e-4, {"revs_per_cycle": 1}, "undecided"),  # exact, as of what rubs or is loose, but no multiple
+        (5.489, 1e-4, {"revs_per_cycle": 1}, "slips"),
+    ]
+    assert [row for row in wanted if lock(row[0], row[1], **row[2]) != row[3]] == []
+
+
+@pytest.mark.parametrize(("relative", "span"), [(0.1, 16.0), (0.01, 16.0), (0.05, 100.0)])
+def test_after_the_revolutions_needed_the_interval_is_narrow_enough(relative, span):
+    needed = revs_to_decide(5.5, relative_error=relative, span_rev=span, revs_per_frame=16)
+    then = relative * np.sqrt(span / needed) * np.sqrt(12.0) / (2 * np.pi * needed)  # noise averages with the length
+    assert lock(5.5, then * 0.99) == "locked" or needed == 32.0
+
+
+# A speed that no pulses tell, proven by orders that stand on multiples; never by orders of another shaft.
+
+
+ERROR = 3e-6
+
+
+def _numbers(orders, share, rng):
+    return [(order * (1.0 + share + ERROR * rng.standard_normal()), order * ERROR, 50.0) for order in orders]
+
+
+def test_orders_on_multiples_alone_prove_the_speed_and_one_that_slips_does_not_disturb():
+    rng = np.random.default_rng(0)
+    judged = [
+        (_numbers((0.5, 4.5, 11.0), 0.0, rng), True),
+        ([*_numbers((2.0, 3.5), 0.0, rng), (5.4356, 1e-5, 50.0)], True),
+        *((_numbers((2.0, 3.5, 6.0), share, rng), False) for share in (3e-4, -1e-3, 4e-3)),  # off, or it slips
+        ([(4.0, 4 * ERROR, 50.0)], False),
+        ([(4.0, 1e-3, 50.0), (6.5, 1e-3, 50.0)], False),
+    ]
+    assert [row for row in judged if proves_speed(row[0], revs_per_cycle=2) != row[1]] == []

@@ -63,7 +63,6 @@ def test_without_noise_the_mass_is_exact():
     assert record["along_quadrature_g"] == pytest.approx(0, abs=0.02)
 
 
-@pytest.mark.slow
 def test_shafts_that_are_too_heavy_leave_a_mass_below_zero():
     record = told(made(7, residual_kg=-0.2))
     low, high = record["residual_reciprocating_g_ci95"]
@@ -93,7 +92,7 @@ def test_one_wrong_speed_is_left_out_and_said():
 
 
 def test_a_rolling_moment_is_fitted_or_closure_refuses_but_is_never_wrong():
-    for seed in range(4):
+    for seed in range(2):
         record, reason = closed(made(seed, moments=True, noise=0.1))
         if record is None:
             assert reason
@@ -105,14 +104,13 @@ def test_a_rolling_moment_is_fitted_or_closure_refuses_but_is_never_wrong():
 
 
 def test_the_known_orders_of_another_source_are_refused():
-    for axis in ("X", "Z"):
-        for seed in range(3):
-            reason = refused(made(seed, extra={4: (axis, 15.0 * np.exp(2j))}, noise=0.3))
-            assert "contradict" in reason or "one path" in reason or "in step" in reason or "alone" in reason
+    for seed, axis in enumerate("XZ"):
+        reason = refused(made(seed, extra={4: (axis, 15.0 * np.exp(2j))}, noise=0.3))
+        assert "contradict" in reason or "one path" in reason or "in step" in reason or "alone" in reason
 
 
 def test_a_rotating_unbalance_is_not_taken_for_reciprocating_mass():
-    for seed in range(3):
+    for seed in range(2):
         record, reason = closed(made(seed, rotating_kg_m=0.3 * 0.0449, rotating_deg=60.0, noise=0.3))
         if record is None:
             assert "across" in reason or "contradict" in reason
@@ -133,10 +131,16 @@ def test_what_cannot_be_weighed_is_refused_with_its_reason():
         (item, {"orders": (*item.orders, *half)}, "gas torque"), (made(seen=(1, 2)), {}, "3, 4"),
         (made(4, seen=(1, 2, 3), noise=40.0), {}, "alone"), (referred("none"), {}, "no phase"),
         (referred("index"), {}, "top dead centre"), (item, {"modal": without_modes}, "natural frequency"),
-        (made(speeds=[1000.0, 1500.0]), {}, "too few speeds"),
+        (made(speeds=[1000.0, 1500.0]), {}, "too few speeds"), (scaled(made(), 1e-6), {}, "sensitivity"),
     ]  # fmt: skip
     said = [(words, refused(one, **changes)) for one, changes, words in wanted]
     assert [pair for pair in said if pair[0] not in pair[1]] == []
+
+
+def scaled(item, factor):
+    for name in ("coherent_amplitude", "standard_error"):
+        item.order_map[name] = item.order_map[name] * factor
+    return item
 
 
 def referred(reference):
@@ -145,19 +149,8 @@ def referred(reference):
     return item
 
 
-def test_amplitudes_that_no_machine_has_are_called_so():
-    item = made()
-    for name in ("coherent_amplitude", "standard_error"):
-        item.order_map[name] = item.order_map[name] * 1e-6
-    reason = refused(item)
-    assert "too small" in reason and "sensitivity" in reason
-
-
-@pytest.mark.slow
 def test_channels_in_g_tell_the_same_as_in_m_s2_and_added_masses_are_part_of_the_residual():
-    plain, item = told(made(3)), made(3)
-    for name in ("coherent_amplitude", "standard_error"):
-        item.order_map[name] = item.order_map[name] / 9.80665
+    plain, item = told(made(3)), scaled(made(3), 1.0 / 9.80665)
     item.order_map["unit"] = ("channel", ["g"] * 3)
     record = told(item, added=(AddedMass(mass_g=20.0, on="piston"),))
     assert record["along_g"] == pytest.approx(plain["along_g"], rel=1e-6)
@@ -165,13 +158,12 @@ def test_channels_in_g_tell_the_same_as_in_m_s2_and_added_masses_are_part_of_the
 
 
 @pytest.mark.accuracy
-@pytest.mark.parametrize("freedom", [(8.0, 24.0), (3.0, 8.0)])
-def test_the_interval_of_the_mass_covers_it_in_95_of_100_scenes(freedom):
+def test_the_interval_of_the_mass_covers_it_in_95_of_100_scenes():
     first, second, scenes = [], [], 0
     for seed in range(430):
         rng = np.random.default_rng(seed)
         mass_kg, noise, n_channels = rng.uniform(0.03, 0.4), 10 ** rng.uniform(-0.7, 0.9), int(rng.integers(1, 4))
-        item = made_orders(rng, residual_kg=mass_kg, noise=noise, n_channels=n_channels, freedom=freedom)
+        item = made_orders(rng, residual_kg=mass_kg, noise=noise, n_channels=n_channels, freedom=(3.0, 24.0))
         record, _ = closed(item)
         if record is None:
             continue
@@ -223,6 +215,10 @@ def test_a_mass_put_on_or_taken_from_the_rotor_tells_size_and_angle_of_the_resid
     assert record["angle_deg"] == pytest.approx(35, abs=6)
     assert record["source"] == "trial mass"
     assert len(record["influence"]) == 9
+    n = maps[0].sizes["channel"]
+    counts = [item.assign_coords(unit=("channel", ["counts"] * n)) for item in maps]  # a unit of a converter cancels
+    counted = weighed(counts, engine=engine, mass_g=mass_g, radius_mm=50.0, angle_deg=100.0)
+    assert counted["residual_rotating_gmm"] == pytest.approx(record["residual_rotating_gmm"], rel=1e-9)
 
 
 def test_without_noise_sizes_angles_and_influence_are_exact():
@@ -251,20 +247,6 @@ def test_a_mass_on_the_piston_tells_grams_along_the_cylinder():
         low, high = record[f"{key}_ci95"]
         assert low <= 116 <= high
     assert record["along_g"] == pytest.approx(1.002325 * record["residual_reciprocating_g"], rel=1e-6)
-
-
-@pytest.mark.slow
-def test_converter_counts_weigh_as_well_as_m_s2():
-    before, trial = 800 * np.exp(1j * np.radians(35)), 1000 * np.exp(1j * np.radians(100))
-    maps = two_maps(1, (before, before + trial))
-    n = maps[0].sizes["channel"]
-    counts = [item.assign_coords(unit=("channel", ["counts"] * n)) for item in maps]
-    scaled, record = (weighed(each, mass_g=20.0, radius_mm=50.0, angle_deg=100.0) for each in (maps, counts))
-    assert record["residual_rotating_gmm"] == pytest.approx(scaled["residual_rotating_gmm"], rel=1e-9)
-    after = abs(before + trial)
-    low, high = record["residual_after_gmm_ci95"]
-    assert low <= after <= high and high - low < 0.3 * after
-    assert record["angle_after_deg"] == pytest.approx(np.degrees(np.angle(before + trial)), abs=6)
 
 
 def test_what_tells_nothing_is_refused():

@@ -66,6 +66,8 @@ def test_without_gas_or_the_firing_angles_nothing_is_said():
     assert cycle_forces(two, [(2.0, 1500.0), (0.5, 900.0)]) == (None, None)
 
 
+FIRES = zip((0.0, 180.0, 180.0, 0.0), (0.0, 180.0, 540.0, 360.0), strict=True)
+EVEN = tuple(Cylinder(crank_deg=crank, position_m=0.1, firing_deg=fires) for crank, fires in FIRES)
 LOCKED_123 = {1.0: "locked", 2.0: "locked", 3.0: "locked"}
 HALVES = {0.5: "locked", 1.0: "locked", 1.5: "locked"}
 STATED = [
@@ -78,6 +80,8 @@ STATED = [
     ({1.0: "undecided", 2.0: "locked", 3.0: "slips"}, False, FIRING, False),
     (LOCKED_123, False, load_engine("msu-optical-second"), False),  # without gas
     (LOCKED_123, False, None, False),
+    # four even cylinders make no half orders to miss
+    ({2.0: "locked", 4.0: "locked", 6.0: "locked"}, False, FIRING.model_copy(update={"cylinders": EVEN}), False),
 ]  # fmt: skip
 
 
@@ -92,13 +96,3 @@ def test_d16_half_orders_put_a_stated_two_stroke_cycle_in_doubt_and_their_lack_t
     other = "four-stroke" if two_stroke else "two-stroke"
     assert all("0.5, 1.5" in one.detail and other in one.detail for one in flags)
     assert two_stroke or cycle_doubts(found, two_stroke=False, engine=engine, max_order=1.0) == []
-
-
-def test_d16_four_even_cylinders_make_no_half_orders_to_miss():
-    firing = tuple(
-        Cylinder(crank_deg=crank, position_m=0.1 * number, firing_deg=fires)
-        for number, (crank, fires) in enumerate([(0.0, 0.0), (180.0, 180.0), (180.0, 540.0), (0.0, 360.0)])
-    )
-    four = FIRING.model_copy(update={"cylinders": firing})
-    found = [record_of(OrderFinding, {"order": order, "lock": "locked"}) for order in (2.0, 4.0)]
-    assert cycle_doubts(found, two_stroke=False, engine=four) == []

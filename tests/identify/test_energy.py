@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.signal import welch
 
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import Cause, Causes
@@ -84,8 +85,7 @@ def total_of(record):
     return sum(record[key] for key in ("orders", "tones", "modes_and_floor", "unexplained"))
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_shares_add_up_to_one_and_none_is_negative(seed):
     rng = np.random.default_rng(seed)
     sizes = rng.uniform(0.0, 2.0, 6)
@@ -113,10 +113,10 @@ def test_a_line_and_a_tone_have_half_their_amplitude_squared_by_their_cause(know
 
 
 def test_noise_alone_is_broadband_but_for_the_stated_chance():
-    made = [shares(campbell(seed=seed)) for seed in range(100)]
+    made = [shares(campbell(seed=seed)) for seed in range(60)]
     assert all(item["cells_judged"] for item in made)
-    # 1 % is stated; 3 of 300 were measured, and 5 of 100 would have a chance of 0.3 %
-    assert sum(item["unexplained_energy_fraction"] > 0.0 for item in made) < 5
+    # 1 % is stated; 3 of 300 were measured, and 4 of 60 would have a chance of 0.3 %
+    assert sum(item["unexplained_energy_fraction"] > 0.0 for item in made) < 4
     assert all(item["channels"][0]["modes_and_floor"] > 0.9999 for item in made)
 
 
@@ -138,32 +138,27 @@ def test_a_hump_that_the_fit_leaves_out_counts_as_unexplained():
     assert channel["unexplained_cells"] == pytest.approx(missing, rel=0.1)
 
 
-@pytest.mark.slow
 def test_where_a_line_is_not_seen_it_has_what_is_there():
-    loud = SPEEDS >= 1500.0
-    made = campbell()
-    quiet = campbell([(order(3.0), 1.0)])
-    made["psd"][:, loud] = quiet["psd"][:, loud]
+    loud, made = SPEEDS >= 1500.0, campbell()
+    made["psd"][:, loud] = campbell([(order(3.0), 1.0)])["psd"][:, loud]
     (channel,) = shares(made, [seen(3.0, 1.0, speeds=SPEEDS[loud])], (True,))["channels"]
     assert channel["orders"] * channel["total"] == pytest.approx(0.5 * loud.mean(), rel=0.02)
+
+
+def test_a_speed_without_data_in_one_channel_changes_nothing_else():
+    whole = campbell([(order(2.0), 1.0)], n_channels=2)
+    holed = whole.copy(deep=True)
+    holed["psd"][0, 4] = np.nan
+    one, other = (shares(each, [seen(2.0, 1.0)], (True,))["channels"] for each in (whole, holed))
+    assert other[1] == one[1]
+    assert other[0]["orders"] == pytest.approx(one[0]["orders"], rel=0.02)
+    assert total_of(other[0]) == pytest.approx(1.0)
 
 
 def test_an_amplitude_beyond_what_the_map_holds_takes_no_more_than_that():
     (channel,) = shares(campbell(), [seen(3.0, 100.0)], (True,))["channels"]
     assert 0.0 < channel["orders"] < 0.1
     assert total_of(channel) == pytest.approx(1.0)
-
-
-@pytest.mark.slow
-def test_a_speed_without_data_and_one_channel_without_lines_change_nothing_else():
-    whole = campbell([(order(2.0), 1.0)], n_channels=2)
-    orders = [seen(2.0, 1.0)]
-    holed = whole.copy(deep=True)
-    holed["psd"][0, 4] = np.nan
-    one, other = shares(whole, orders, (True,))["channels"], shares(holed, orders, (True,))["channels"]
-    assert other[1] == one[1]
-    assert other[0]["orders"] == pytest.approx(one[0]["orders"], rel=0.02)
-    assert total_of(other[0]) == pytest.approx(1.0)
 
 
 def test_without_a_fitted_surface_the_lines_alone_are_judged():
@@ -174,16 +169,8 @@ def test_without_a_fitted_surface_the_lines_alone_are_judged():
 
 
 def test_a_test_without_speeds_is_judged_by_its_order_map():
-    axis = np.arange(0.0, 20.01, 1 / 16)
-    energy = 1e-4 * np.random.default_rng(4).gamma(40.0, 1 / 40.0, (1, 1, axis.size))
-    for k, amplitude in ((2.0, 1.0), (5.5, 0.5)):
-        at = round(16 * k)
-        energy[..., at - 1 : at + 2] += amplitude**2 * np.array([0.25, 1.0, 0.25])
-    order_map = xr.Dataset(
-        {"amplitude": (("channel", "speed", "order"), np.sqrt(energy)), "n_independent": ("speed", [40.0])},
-        coords={"channel": ["A"], "unit": ("channel", ["Pa"]), "speed": [np.nan], "order": axis},
-        attrs={"enbw_bins": 1.5, "amplitude_scaling": "peak", "revs_per_cycle": 2},
-    )
+    lines = [(order(2.0), 1.0), (order(5.5), 0.5)]
+    order_map = order_map_of(lines, speeds=SPEEDS[:1]).assign_coords(speed=[np.nan])
     empty = campbell().isel(speed=slice(0, 0))
     orders = [seen(k, a, speeds=[np.nan]) for k, a in ((2.0, 1.0), (5.5, 0.5))]
     record = told_shares(empty, order_map, tuple(orders), fit(), causes(orders, (True, False)), settings=SETTINGS)
@@ -194,18 +181,15 @@ def test_a_test_without_speeds_is_judged_by_its_order_map():
     assert total_of(channel) == pytest.approx(1.0)
 
 
-def order_map_of(lines=(), *, speeds=SPEEDS, floor=1e-4, n_frames=30, seed=0, modes=()):
-    """OrderMap of white noise of that power per hertz, of ``lines`` (frequency by speed, amplitude), and of ``modes``.
+def order_map_of(lines=(), *, speeds=SPEEDS, n_frames=30, modes=()):
+    """OrderMap of noise of 1e-4 per hertz and of ``lines`` (frequency by speed, amplitude) without scatter.
 
-    A mode (frequency, damping ratio, height over the floor) rings by noise; lines are as steady as none is.
+    ``modes`` (frequency, damping ratio, height over that noise) ring by noise.
     """
-    rng = np.random.default_rng(seed)
-    axis = np.arange(0.0, 20.01, 1 / 16)
-    density = np.full((len(speeds), axis.size), floor)
-    for natural, damping, height in modes:
-        away = axis * speeds[:, None] / 60 / natural - 1.0
-        density += floor * height / (1.0 + (away / damping) ** 2)
-    mean = density * speeds[:, None] / 60 / 16
+    rng, axis = np.random.default_rng(0), np.arange(0.0, 20.01, 1 / 16)
+    hertz = axis * speeds[:, None] / 60
+    over = 1.0 + sum(height / (1.0 + ((hertz / at - 1.0) / damping) ** 2) for at, damping, height in modes)
+    mean = 1e-4 * speeds[:, None] / 60 / 16 * np.broadcast_to(over, hertz.shape)
     frames = rng.exponential(1.0, (n_frames, *mean.shape))
     energy = mean * frames.mean(axis=0)
     ratio = (frames**2).mean(axis=0) / frames.mean(axis=0) ** 2
@@ -228,24 +212,13 @@ def order_map_of(lines=(), *, speeds=SPEEDS, floor=1e-4, n_frames=30, seed=0, mo
     )
 
 
-def joined(by_order, orders=(), known=(), lines=()):
-    """Energy of a quiet Campbell map to 500 Hz with ``lines``, and above it of the map ``by_order``."""
-    speeds = by_order["speed"].values
-    made = campbell(lines, speeds=speeds)
-    modal = fit(**surface())
-    return made, told_shares(made, by_order, tuple(orders), modal, causes(orders, known), settings=SETTINGS)
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("seed", range(8))
-def test_what_lies_above_the_campbell_map_is_read_in_the_order_map_and_all_adds_up(seed):
-    rng = np.random.default_rng([3, seed])
-    speeds = np.sort(rng.uniform(1600.0, 3000.0, rng.integers(1, 5)))
-    fixed, size = rng.uniform(560.0, 0.9 * 20 * speeds[-1] / 60), rng.uniform(0.3, 1.0)
-    known = [float(rng.integers(2, 18)), float(rng.uniform(0.3, 1.0))]
-    lines = [(order(known[0]), known[1]), (lambda _: fixed, size)]
-    made = order_map_of(lines, speeds=speeds, seed=seed)
-    below, record = joined(made, [seen(known[0], known[1], speeds=speeds)], (True,), lines)
+def test_what_lies_above_the_campbell_map_is_read_in_the_order_map_and_all_adds_up():
+    """Order 15 at 425, 600 and 725 Hz, and a line of 650 Hz, which order 20 reaches at two of the speeds."""
+    speeds = np.array([1700.0, 2400.0, 2900.0])
+    lines = [(order(15.0), 0.8), (lambda _: 650.0, 0.6)]
+    made = order_map_of(lines, speeds=speeds)
+    below, lined = campbell(lines, speeds=speeds), (seen(15.0, 0.8, speeds=speeds),)
+    record = told_shares(below, made, lined, fit(**surface()), causes(lined, (True,)), settings=SETTINGS)
     (channel,) = record["channels"]
     total = 0.5 * below["psd"].values[..., 2:].sum(axis=-1).mean()
     hertz = made["order"].values * speeds[:, None] / 60
@@ -253,24 +226,18 @@ def test_what_lies_above_the_campbell_map_is_read_in_the_order_map_and_all_adds_
     assert record["band_hz"] == pytest.approx(20.0 * speeds[-1] / 60)
     assert channel["total"] == pytest.approx(total, rel=0.02)
     assert total_of(channel) == pytest.approx(1.0, abs=1e-9)
-    assert channel["orders"] * channel["total"] == pytest.approx(known[1] ** 2 / 2, rel=0.03)
-    heard = np.mean(fixed < 20 * speeds / 60)
-    clear = np.abs(np.outer(speeds, [known[0], 20.0]) / 60 - fixed) > 8 * speeds[:, None] / 960
-    if clear.all():
-        assert channel["unexplained"] * channel["total"] == pytest.approx(heard * size**2 / 2, rel=0.03)
+    assert channel["orders"] * channel["total"] == pytest.approx(0.8**2 / 2, rel=0.03)
+    assert channel["unexplained"] * channel["total"] == pytest.approx(2 / 3 * 0.6**2 / 2, rel=0.03)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
-def test_natural_frequencies_above_the_campbell_map_are_no_lines(seed):
-    rng = np.random.default_rng([4, seed])
-    speeds = np.sort(rng.uniform(1600.0, 3000.0, rng.integers(1, 5)))
-    modes = [(rng.uniform(520.0, 900.0), 10.0 ** rng.uniform(-2.7, -1.3), 10.0 ** rng.uniform(1, 4)) for _ in range(3)]
-    _, record = joined(order_map_of(speeds=speeds, seed=seed, modes=modes, n_frames=int(rng.integers(2, 60))))
-    assert record["channels"][0]["unexplained"] == 0.0
+def test_natural_frequencies_above_the_campbell_map_are_no_lines():
+    speeds = np.array([1700.0, 2900.0])
+    above = order_map_of(speeds=speeds, modes=((560.0, 0.005, 1e4), (640.0, 0.02, 30.0), (830.0, 0.04, 1e3)))
+    below = campbell(speeds=speeds)
+    (channel,) = told_shares(below, above, (), fit(**surface()), causes(), settings=SETTINGS)["channels"]
+    assert channel["unexplained"] == 0.0
 
 
-@pytest.mark.slow
 def test_amplitudes_given_as_root_mean_square_make_the_same_shares():
     made = campbell([(order(2.0), 1.0)])
     as_rms = made.assign_attrs(amplitude_scaling="rms")
@@ -279,11 +246,9 @@ def test_amplitudes_given_as_root_mean_square_make_the_same_shares():
     assert one[0]["orders"] == pytest.approx(other[0]["orders"])
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("seed", range(6))
-def test_lines_closer_than_a_bin_have_the_energy_of_their_amplitudes(seed):
+def test_lines_closer_than_a_bin_have_the_energy_of_their_amplitudes():
     """Parseval: three lines within a bin are told a² / 2 each, whichever of them is known and wherever cells lie."""
-    rng = np.random.default_rng([seed, 6])
+    rng = np.random.default_rng([0, 6])
     sizes, speeds = rng.uniform(0.2, 1.0, 3), SPEEDS[:1]
     places = 2.0 + 0.01 * np.array([0.0, *np.cumsum(rng.uniform(0.5, 2.0, 2))])
     step, n = 0.5, 4000
@@ -291,9 +256,7 @@ def test_lines_closer_than_a_bin_have_the_energy_of_their_amplitudes(seed):
     time_s, signal = np.arange(n * 40) / (n * step), np.zeros(n * 40)
     for place, size in zip(places, sizes, strict=True):
         signal += size * np.cos(2.0 * np.pi * (place * speeds[0] / 60.0 * time_s + rng.random()))
-    frames = np.lib.stride_tricks.sliding_window_view(signal, n)[:: n // 2] * np.hanning(n)
-    power = np.square(np.abs(np.fft.rfft(frames, axis=1))).mean(axis=0)[: len(FREQUENCY)]
-    psd["psd"][0, 0] += 2.0 * power / (n / step * np.square(np.hanning(n)).sum() * step**2)
+    psd["psd"][0, 0] += welch(signal, n * step, "hann", n, detrend=False)[1][: len(FREQUENCY)]
     lines = [seen(float(k), float(a), speeds=speeds) for k, a in zip(places, sizes, strict=True)]
     told = shares(psd, lines, (True, False, False))
     wanted = np.square(sizes[1:]).sum() / np.square(sizes).sum()

@@ -57,7 +57,7 @@ def test_a_floor_that_grows_and_order_lines_leave_no_other_mode_behind(changes, 
 
 def test_white_noise_has_neither_modes_nor_tones():
     made = replace(THREE, sensor=((0.0, 0.0),) * 3)
-    for seed in range(10):
+    for seed in range(5):
         fit = _fit(made, seed)
         assert not fit.modes and not fit.tones
 
@@ -75,7 +75,6 @@ def test_mains_and_a_pump_are_tones_with_their_amplitude_and_no_modes():
         assert set(tone.amplitude) == {"X", "Y"}
 
 
-@pytest.mark.slow
 def test_lines_of_two_mains_frequencies_are_no_mains():
     fit = _fit(replace(THREE, tones=((100.0, 0.2), (120.0, 0.2))))
     assert [tone.kind for tone in fit.tones] == ["tone", "tone"]
@@ -119,18 +118,6 @@ def test_a_channel_that_is_missing_at_all_speeds_takes_no_part():
     assert inside(fit, THREE)
 
 
-@pytest.mark.accuracy
-def test_intervals_of_frequency_and_damping_cover_the_truth_as_often_as_they_say():
-    off = []
-    for seed in range(300):
-        fit = _fit(replace(THREE, speed_rpm=tuple(np.arange(300.0, 2001.0, 200.0)), duration_s=10.0), seed)
-        for mode, f, zeta in zip(fit.modes, THREE.natural_hz, THREE.damping, strict=True):
-            in_damping = (mode.damping_ratio - zeta) / mode.damping_error
-            off.append([(mode.frequency_hz - f) / mode.frequency_error_hz, in_damping])
-    covered = np.mean(np.abs(off) <= 1.96, axis=0)
-    assert np.all(np.abs(covered - 0.95) <= 0.02), covered
-
-
 def test_bins_of_padded_frames_are_taken_no_closer_than_they_tell_of():
     campbell = campbell_of(replace(THREE, speed_rpm=(1000.0,)), 0)
     campbell["n_frames"][:] = 1  # of more than one spectrum the scatter is known bin by bin
@@ -143,12 +130,9 @@ def test_bins_of_padded_frames_are_taken_no_closer_than_they_tell_of():
     assert wide.step_hz == pytest.approx(0.5 * wide.seen.bin_hz)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_more_poles_than_bins_are_no_fault(seed):
-    random = np.random.default_rng(seed)
-    campbell = campbell_of(replace(THREE, speed_rpm=(1000.0, 1010.0)), seed)
-    for n_bins in random.integers(4, 16, 4).tolist():
+def test_more_poles_than_bins_are_no_fault():
+    random, campbell = np.random.default_rng(0), campbell_of(replace(THREE, speed_rpm=(1000.0, 1010.0)), 0)
+    for n_bins in (4, 7, 15):
         part = campbell.isel(frequency=slice(0, n_bins))
         bins = (part["psd"].dims, random.gamma(0.3, 1.0, part["psd"].shape))
         fit = modal_fit(part.assign(psd=bins), no_orders(part), (), settings=SETTINGS)
@@ -183,9 +167,7 @@ def test_a_mode_as_narrow_as_an_order_wanders_is_undecided_at_one_speed_and_else
 BIN_HZ = 0.5
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("name", ["hann", "blackman-harris"])
-@pytest.mark.parametrize("damping", [0.0005, 0.003, 0.05])
+@pytest.mark.parametrize(("name", "damping"), [("hann", 0.0005), ("blackman-harris", 0.05)])
 def test_a_resonance_is_seen_through_the_window_as_the_lags_that_the_window_lets_through(name, damping):
     """Wiener and Khinchin: the decaying autocorrelation of the mode times that of the window, transformed by sums."""
     window = window_named(name, 32768)

@@ -16,10 +16,6 @@ from crankorder.identify.modes.responses import held_peak
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import track_order
 from crankorder.settings import load_settings
-from machines.draw import draw_machine
-from machines.folder import write_folder
-from machines.judge import Said
-from machines.score import run_program
 from made.found_lines import fit, made_response, mode
 from made.line_frames import PER_REV, agreed_in, angle_of, frames_of, wave
 
@@ -55,7 +51,6 @@ def one_speed(signal, *, channels=1):
     return made, order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
 
 
-@pytest.mark.slow
 def test_a_line_whose_speed_drifts_is_seen_in_ten_frames_by_its_steadiness_and_with_its_doubt():
     """As in a gearbox whose speed is nominal: the phase turns by 72 degrees to and fro, over ten frames."""
 
@@ -71,12 +66,10 @@ def test_a_line_whose_speed_drifts_is_seen_in_ten_frames_by_its_steadiness_and_w
     assert "one speed" in [doubt.kind for doubt in line.doubts]
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("damping", [1e-4, 3e-4, 1e-3, 1e-2])
-def test_no_resonance_that_noise_excites_is_as_steady_as_a_line_at_one_speed(damping):
+def test_no_resonance_that_noise_excites_is_as_steady_as_a_line_at_one_speed():
     """A hundred channels of ten frames each, on order 15.06: a phasor that forgets itself as that damping makes it."""
-    rng = np.random.default_rng(int(1e5 * damping))
-    per_rev = np.exp(-2.0 * np.pi * damping * 15.06 / PER_REV)
+    rng = np.random.default_rng(10)
+    per_rev = np.exp(-2.0 * np.pi * 1e-4 * 15.06 / PER_REV)
 
     def ringing(angle, channel):
         steps = rng.standard_normal((2, len(angle)))
@@ -91,33 +84,30 @@ def test_no_resonance_that_noise_excites_is_as_steady_as_a_line_at_one_speed(dam
     assert steady <= 1
 
 
-@pytest.mark.slow
 def test_an_order_that_stands_at_one_of_two_speeds_and_nearly_at_the_other_is_one_order_at_both():
     """At 1500 rpm order 8.5 stays just below the level, at 2000 rpm it is above: together noise does not make it."""
     found = 0
-    for weak in np.arange(0.12, 0.30, 0.02):
+    for weak in (0.16, 0.2, 0.24, 0.28):
         lines = lines_of(
             lambda angle, rpm, weak=weak: wave(angle, 8.5, weak if rpm < 1600.0 else 0.5), speeds=[1500.0, 2000.0]
         )
         at = [line for line in lines if abs(line.order - 8.5) < 0.05]
         found += len(at) == 1 and len(at[0].seen) == 2
-    assert found >= 5
+    assert found >= 3
 
 
 def test_noise_at_few_speeds_makes_no_order_of_all_together():
     rng = np.random.default_rng(2)
-    for _ in range(12):
+    for _ in range(6):
         signal = [rng.standard_normal(120 * PER_REV) for _ in range(3)]
         noise = dict(zip((1500.0, 1750.0, 2000.0), signal, strict=True))
         assert lines_of(lambda angle, rpm, noise=noise: noise[rpm][: len(angle)], speeds=list(noise)) == []
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize(("seed", "modes"), [(4, 8), (5, 14), (6, 14)])
-def test_an_order_that_resonances_raise_at_some_speeds_is_none_of_all_together(seed, modes):
+def test_an_order_that_resonances_raise_at_some_speeds_is_none_of_all_together():
     """Noise excites modes: orders cross them at some of 35 speeds, and the last bin of the map sees flanks of them."""
-    rng = np.random.default_rng(seed)
-    natural_hz, damping = np.exp(rng.uniform(np.log(50.0), np.log(500.0), modes)), rng.uniform(0.002, 0.012, modes)
+    rng = np.random.default_rng(4)
+    natural_hz, damping = np.exp(rng.uniform(np.log(50.0), np.log(500.0), 8)), rng.uniform(0.002, 0.012, 8)
 
     def ringing(angle, rpm):
         ratio = np.fft.rfftfreq(len(angle), 60.0 / (PER_REV * rpm))[:, None] / natural_hz
@@ -131,68 +121,31 @@ def test_an_order_that_resonances_raise_at_some_speeds_is_none_of_all_together(s
 
 
 ONE, SEVERAL = (1500.0,), (1500.0, 1530.0, 1560.0)
+STEPS = [
+    (1.0, 0.5, 1.2, ONE), (5.5, 0.5, 2.0, ONE), (1.0, 0.5, 2.0, SEVERAL), (5.5, 0.3, 3.0, SEVERAL),
+    (5.467, 0.5, 10.0, SEVERAL),
+]  # fmt: skip
 
 
-def swelling(angle, how, factor):
-    share = (angle - angle[0]) / (angle[-1] - angle[0])
-    if how == "step":
-        return np.where(share > 0.5, factor, 1.0)
-    if how == "early step":
-        return np.where(share > 0.3, factor, 1.0)
-    return 1.0 + (factor - 1.0) * share
-
-
-def found(order, how, factor, speeds):
+@pytest.mark.cases(len(STEPS))
+@pytest.mark.parametrize(("order", "share", "factor", "speeds"), STEPS)
+def test_an_order_whose_amplitude_changes_is_found_and_its_interval_reaches_over_what_it_held(
+    order, share, factor, speeds
+):
     rng, angle, frames = np.random.default_rng(int(100 * factor)), angle_of(250), []
-    size = 3.0 * swelling(angle, how, factor)
+    size = np.where(angle - angle[0] > share * 250, 3.0 * factor, 3.0)
     for rpm in speeds:
         signals = [size * wave(angle, order, 1.0, rng.uniform(0, 6)) + rng.standard_normal(len(angle))]
         frames.append(frames_of(signals, speed_rpm=rpm))
-    return agreed_in(frames)
-
-
-@pytest.mark.parametrize("speeds", [ONE, SEVERAL])
-@pytest.mark.parametrize(("how", "factor"), [("step", 1.2), ("step", 2.0), ("step", 10.0), ("early step", 3.0)])
-@pytest.mark.parametrize("order", [1.0, 5.5, 5.467])
-def test_an_order_whose_amplitude_changes_is_found_and_its_interval_reaches_over_what_it_held(
-    order, how, factor, speeds
-):
-    (agreed,) = found(order, how, factor, speeds)
+    (agreed,) = agreed_in(frames)
     assert agreed.order == pytest.approx(order, abs=0.02)
     assert agreed.lock == "slips" if order == 5.467 else agreed.lock != "slips"
-    if order != 5.467 and (how, factor) == ("step", 2.0):
+    if factor == 2.0:
         (line,) = agreed.lines
         assert (line.ends[:, 0] < 1.03 * 3.0).all() and (line.ends[:, 1] > 0.97 * 3.0 * factor).all()
 
 
-# Findings and tracks: one number for both, at the order that was found; how large a held speed would make it.
-
-
-FLOAT32 = 2e-7
-DRAWN = [("stepped few", 13), ("run-up", 11), ("repeated sweep", 12), ("one speed", 14)]
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize(("class_name", "seed"), DRAWN)
-def test_the_largest_value_of_each_track_is_that_of_the_findings(class_name, seed, tmp_path):
-    machine = draw_machine(class_name, seed)
-    write_folder(machine, tmp_path / "test")
-    assert run_program(tmp_path / "test", tmp_path / "out") == ""
-    said = Said.read(tmp_path / "out")
-    assert said.tracks is not None and said.findings["orders"]
-    for record in said.findings["orders"]:
-        assert abs(record["tracked_order"] - record["order"]) <= max(1e-6, record["order_ci95"][1] - record["order"])
-        off = np.abs(said.tracks["order"].values - record["tracked_order"])
-        assert off.min() < 1e-6
-        track = said.tracks.isel(order=int(off.argmin())).sel(channel=record["channel"])
-        sure = track["amplitude"].values[track["amplitude_low"].values > 0.0]
-        lawful = record["amplitude"] != pytest.approx(sure.max(), rel=FLOAT32)  # where all speeds follow one law
-        assert not lawful or record["speed_law"] != "follows no power law"
-        assert record["amplitude_ci95"][0] <= record["amplitude"] <= record["amplitude_ci95"][1]
-        row = track.isel(speed=int(np.nanargmax(np.where(track["amplitude_low"] > 0.0, track["amplitude"], np.nan))))
-        assert record["speed_rpm_at_max"] == pytest.approx(float(row["speed"]), rel=FLOAT32)
-        phase = np.nan if record["phase_deg"] is None else record["phase_deg"]
-        assert phase == pytest.approx(float(row["phase"]), rel=FLOAT32, abs=1e-4, nan_ok=True)
+# Where an order is tracked, and how large a held speed would make it.
 
 
 def test_an_order_whose_number_is_not_known_has_its_track_where_it_was_found():
@@ -202,7 +155,6 @@ def test_an_order_whose_number_is_not_known_has_its_track_where_it_was_found():
     assert track_order(2.001, (1.99, 2.01), "slips", revs_per_cycle=2) == 2.001
 
 
-@pytest.mark.slow
 def test_a_line_between_multiples_is_read_where_it_stands_however_little_is_known_of_the_speed():
     slow = AgreedOrder(2.54, 0.033, 1e6, "undecided", None, (), own_error=1e-5)
     assert track_number(slow, revs_per_cycle=2) == 2.54

@@ -6,7 +6,7 @@ import pytest
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.machine_parts import PathMode, StatedPath
-from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders, noise_shape
+from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
 from crankorder.identify.machine_model import MachineModel
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, order_map_of
@@ -100,7 +100,6 @@ def test_wrong_paths_are_refused():
         assert record is None and words in reason
 
 
-@pytest.mark.slow
 def test_the_forms_of_a_path_agree_with_one_another():
     f = np.linspace(5.0, 50.0, 91)
     modal = stated(
@@ -122,18 +121,3 @@ def test_only_accelerometers_are_read_and_missing_values_count_for_nothing():
     assert found.channels == ("X", "Z")
     assert np.isinf(found.error[0, 3]) and np.isfinite(found.error[1, 3])
     assert np.isfinite(found.amplitude).all()
-
-
-def test_the_combination_of_channels_almost_without_noise_is_found_beside_noise_that_they_share():
-    frequency_hz = np.linspace(300.0, 2000.0, 35)[:, None] / 60.0 * np.arange(4, 200) / 16.0
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        mixed = rng.normal(size=(3, 2)) + 1j * rng.normal(size=(3, 2))
-        sources, own = (rng.normal(size=(2, k, *frequency_hz.shape)) for k in (2, 3))
-        noise = np.tensordot(mixed, sources[0] + 1j * sources[1], axes=1) + 0.01 * (own[0] + 1j * own[1])
-        usable = np.ones(frequency_hz.shape, dtype=bool)
-        shape, bins = noise_shape(noise, frequency_hz=frequency_hz, usable=usable, at_hz=np.array([60.0]))
-        true = mixed @ mixed.conj().T + 1e-4 * np.eye(3)
-        weakest = np.linalg.eigh(shape[0])[1][:, 0]
-        assert bins[0] >= 24
-        assert (weakest.conj() @ true @ weakest).real < 1.5 * np.linalg.eigvalsh(true)[0]

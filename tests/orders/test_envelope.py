@@ -47,17 +47,15 @@ def test_the_amplitude_of_strikes_does_not_depend_on_the_noise_and_grows_as_they
     assert read == pytest.approx([read[-1]] * 3, rel=0.02)
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("centre_hz", [2000.0, 8500.0, 19000.0])
-def test_the_band_is_chosen_where_the_strikes_ring(centre_hz):
+def test_the_band_is_chosen_where_the_strikes_ring():
     rate, rpm, n = 50_000.0, 1500.0, 200_000
-    chance = np.random.default_rng(int(centre_hz))
+    chance = np.random.default_rng(2000)
     time = np.arange(n) / rate
     phase = (2.18 * time * rpm / 60.0) % 1.0
-    ring = np.exp(-phase / 2.18 * 60.0 / rpm * 500.0) * np.cos(2.0 * np.pi * centre_hz * time)
+    ring = np.exp(-phase / 2.18 * 60.0 / rpm * 500.0) * np.cos(2.0 * np.pi * 2000.0 * time)
     signal = 0.5 * ring + chance.standard_normal(n)
     made = recording_envelope(*recording(signal[None], rate_hz=rate, speed_rpm=rpm), settings=ORDERS)
-    assert made["band_low"].values[0, 0] - 200.0 < centre_hz < made["band_high"].values[0, 0] + 200.0
+    assert made["band_low"].values[0, 0] - 200.0 < 2000.0 < made["band_high"].values[0, 0] + 200.0
     assert made["band_high"].values[0, 0] - made["band_low"].values[0, 0] < 8000.0
     times = round(strongest(made) / 2.18)
     assert abs(strongest(made) - times * 2.18) < 1.0 / 64.0
@@ -197,16 +195,13 @@ STEP = 1.0 / 64.0
 ALL = np.ones(1921, dtype=np.bool_)
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("count", [1.0, 4.7, 300.0])
-def test_the_table_holds_the_chances_of_the_f_distribution(count):
-    ratio = np.geomspace(0.2, 30.0, 400)
+def test_the_table_holds_the_chances_of_the_f_distribution():
+    ratio = np.geomspace(1.01, 30.0, 400)
     bins = 3 * np.arange(400)  # no neighbours
-    exact = -np.log(np.maximum(fdtrc(2.0 * count, 2.0 * 25.6 * count, ratio), 1e-300)) - np.log(NEAR_TRIALS)
-    made = look_nats(ratio[None], bins, count=count, floor_worth=25.6, free=ALL[:400])[0]
-    wanted = np.clip(exact, 0.0, MOST_NATS)
-    above = ratio > 1.0
-    assert made[above] == pytest.approx(wanted[above], abs=0.01)
+    for count in (1.0, 4.7, 300.0):
+        exact = -np.log(np.maximum(fdtrc(2.0 * count, 2.0 * 25.6 * count, ratio), 1e-300)) - np.log(NEAR_TRIALS)
+        made = look_nats(ratio[None], bins, count=count, floor_worth=25.6, free=ALL[:400])[0]
+        assert made == pytest.approx(np.clip(exact, 0.0, MOST_NATS), abs=0.01)
 
 
 def test_two_harmonics_are_as_unlikely_as_fishers_method_says():

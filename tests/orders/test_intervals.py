@@ -32,9 +32,7 @@ def covered(made, order, amplitude, phase_rad):
     return size.values, (np.abs(off) <= line["phase_ci95"]).values
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("dof", [2.0, 6.0, 16.0, 400.0])
-@pytest.mark.parametrize("true", [0.0, 0.5, 1.5, 3.0, 30.0])
+@pytest.mark.parametrize(("true", "dof"), [(0.0, 2.0), (1.5, 6.0), (30.0, 400.0)])
 def test_the_interval_of_a_line_in_noise_holds_the_truth_at_every_signal_to_noise_ratio(dof, true):
     rng, draws = np.random.default_rng(7), 40_000
     seen = true + (rng.standard_normal(draws) + 1j * rng.standard_normal(draws)) / np.sqrt(2.0)
@@ -55,27 +53,18 @@ def test_without_noise_the_interval_is_the_amplitude_itself_and_without_knowledg
     assert half.tolist() == [0.0, 180.0]
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("true", [2.0, 0.0, 10.0])
-def test_the_interval_of_an_amplitude_without_phase_holds_the_truth(true):
+def test_the_interval_of_an_amplitude_without_phase_holds_the_truth():
     rng, draws, frames = np.random.default_rng(8), 20_000, 8
     noise = (rng.standard_normal((draws, frames)) + 1j * rng.standard_normal((draws, frames))) / np.sqrt(2.0)
-    power = np.mean(np.abs(true + noise) ** 2, axis=1)
+    power = np.mean(np.abs(2.0 + noise) ** 2, axis=1)
     dof = np.full(draws, 400.0)
     low, high = energy_interval(
         power, noise=np.array(1 / frames), bias=np.array(1.0), noise_variance=np.array(1 / frames), dof=dof
     )
-    assert beyond((low <= true) & (true <= high), least=0.94, most=1.0 if true == 0.0 else 0.96) < 1.0
+    assert beyond((low <= 2.0) & (high >= 2.0), least=0.94, most=0.96) < 1.0
 
 
-CASES = [
-    ("white", 1), ("white", 2), ("white", 3), ("white", 5), ("white", 36), ("pink", 2), ("pink", 5), ("pink", 36),
-    ("resonance", 20), ("resonance", 36),
-]  # fmt: skip
-
-
-@pytest.mark.cases(2)
-@pytest.mark.parametrize(("colour", "frames"), CASES)
+@pytest.mark.parametrize(("colour", "frames"), [("white", 1), ("pink", 5), ("resonance", 20)])
 def test_the_truth_lies_in_95_of_100_intervals_of_the_map(colour, frames):
     given = [(5.0, 3.0, 0.7), (5.5, 1.0, 2.0), (6.0, 2.0, -1.0)]
     noise = coloured(np.random.default_rng([frames, 0]), 400, revs=8 * (frames + 1), colour=colour)
@@ -85,29 +74,24 @@ def test_the_truth_lies_in_95_of_100_intervals_of_the_map(colour, frames):
             assert beyond(part) < 1.0
 
 
-def repeats(rng, recordings, *, scatter, sigma, **attrs):
-    """Recordings of five frames whose line at order 5 differs in amplitude and in phase from one to the next."""
+def repeats(rng, recordings):
+    """Recordings of five frames whose line at order 5 differs by a tenth in amplitude and in phase."""
     made = []
     for number in range(recordings):
-        noise = sigma * coloured(rng, 1500, revs=48, colour="white")
-        both = scatter * rng.standard_normal((2, 1500, 1))
+        noise = 0.3 * coloured(rng, 600, revs=48, colour="white")
+        both = 0.1 * rng.standard_normal((2, 600, 1))
         along, across = (lines(noise.shape[1], [(5.0, 3.0, phase)]) for phase in (0.7, 0.7 + np.pi / 2))
-        frames = angle_frames(noise + (1.0 + both[0]) * along + both[1] * across, name=str(number))
-        frames.attrs |= attrs
-        made.append(frames)
+        made.append(angle_frames(noise + (1.0 + both[0]) * along + both[1] * across, name=str(number)))
     return made
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("sigma", [0.3, 1.0])
-@pytest.mark.parametrize("recordings", [2, 3, 5])
-def test_the_interval_of_recordings_that_differ_by_a_tenth_holds_the_line_of_them_all(recordings, sigma):
-    given = repeats(np.random.default_rng([recordings, int(10 * sigma)]), recordings, scatter=0.1, sigma=sigma)
+def test_the_interval_of_recordings_that_differ_by_a_tenth_holds_the_line_of_them_all():
+    given = repeats(np.random.default_rng(2), 2)
     made = order_map(given, settings=SETTINGS)
     for part in covered(made, 5.0, 3.0, 0.7):
         assert beyond(part, most=0.975) < 1.0  # where the frames say more than the recordings it is theirs
     freedom = made["degrees_of_freedom"].sel(order=5.0).values
-    assert np.median(freedom) == recordings - 1
+    assert np.median(freedom) == 1
 
 
 def test_the_scatter_of_unequal_recordings_is_weighed_by_their_frames():
@@ -121,15 +105,3 @@ def test_the_scatter_of_unequal_recordings_is_weighed_by_their_frames():
     between = between_recordings(spectrum, owner, mean)
     power, _ = wider_of(np.full(mean.shape, 2 * within**2 / 12), np.full(mean.shape, 2.0), between.along, between)
     assert power.mean() == pytest.approx(np.mean(np.abs(mean - 40.0) ** 2), rel=0.03)
-
-
-@pytest.mark.slow
-def test_the_interval_of_a_run_up_does_not_take_the_growth_of_the_line_for_noise():
-    frames, draws = 5, 1000
-    revs = 8 * (frames + 1)
-    noise = coloured(np.random.default_rng(4), draws, revs=revs, colour="white")
-    angle = np.linspace(0.0, 1.0, noise.shape[1])
-    grown = (1.0 + 0.3 * (angle - 0.5)) * lines(noise.shape[1], [(5.0, 3.0, 0.7)])
-    made = order_map([angle_frames(noise + grown, speed=np.linspace(1190.0, 1210.0, frames))], settings=SETTINGS)
-    for part in covered(made, 5.0, 3.0, 0.7):
-        assert beyond(part) < 1.0

@@ -1,6 +1,7 @@
 """The choice of a method by the accuracy asked for, and whether it is reached."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def worst_error(frames):
     return float(np.abs(found).max()) / max(a for a, _ in PARTS.values())
 
 
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12])
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-6, 1e-12])
 def test_the_tolerance_asked_for_is_met(tolerance):
     recording = run_up([SIGNAL], from_rpm=1200, to_rpm=1500, duration_s=6.0, rate_hz=2000.0)
     frames = order_frames(*recording, settings=asked(tolerance=tolerance))
@@ -37,15 +38,13 @@ def test_the_tolerance_asked_for_is_met(tolerance):
     assert worst_error(frames) < max(tolerance, angle_rounding)
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
-def test_predicted_and_achieved_error_stand_beside_the_choice(tolerance):
+def test_predicted_and_achieved_error_stand_beside_the_choice():
     frames = order_frames(
-        *steady([SIGNAL], speed_rpm=1487.0, duration_s=6.0, rate_hz=2000.0), settings=asked(tolerance=tolerance)
+        *steady([SIGNAL], speed_rpm=1487.0, duration_s=6.0, rate_hz=2000.0), settings=asked(tolerance=1e-3)
     )
-    assert frames.attrs["tolerance"] == tolerance
+    assert frames.attrs["tolerance"] == 1e-3
     assert frames.attrs["method"].startswith("resample (")
-    assert 0.0 < frames.attrs["achieved_error"] <= frames.attrs["predicted_error"] <= tolerance
+    assert 0.0 < frames.attrs["achieved_error"] <= frames.attrs["predicted_error"] <= 1e-3
     assert worst_error(frames) < frames.attrs["predicted_error"]
 
 
@@ -90,9 +89,9 @@ def test_a_long_run_up_is_done_in_pieces_that_leave_no_seam(monkeypatch):
     np.testing.assert_allclose(pieces["spectrum"].values, whole["spectrum"].values, atol=5e-7, rtol=0)
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("dtype", ["f4", "f8"])
-@pytest.mark.parametrize(("share", "tolerance", "mark"), [(0.05, SETTINGS.tolerance, 1e-6), (0.4, 1e-5, 1e-5)])
+@pytest.mark.parametrize(
+    ("share", "tolerance", "mark", "dtype"), [(0.05, SETTINGS.tolerance, 1e-6, "f4"), (0.4, 1e-5, 1e-5, "f8")]
+)
 def test_from_full_rate_samples_to_orders_the_error_is_within_the_mark(share, tolerance, mark, dtype):
     """Content up to 5 % of the sample rate to 1 ppm by default, up to 40 % to 1e-5 when asked: low-pass and all."""
     top = share * 50000.0 * 60.0 / 1500.0
@@ -111,8 +110,7 @@ def test_from_full_rate_samples_to_orders_the_error_is_within_the_mark(share, to
         assert np.abs(found - value * np.exp(0.3j * order)).max() < mark, order
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize(("scatter_rev", "denser"), [(0.0, False), (1e-7, False), (1e-5, True)])
+@pytest.mark.parametrize(("scatter_rev", "denser"), [(1e-7, False), (1e-5, True)])
 def test_an_angle_that_scatters_from_tooth_to_tooth_is_sampled_more_densely(scatter_rev, denser):
     band, _ = steady([SIGNAL], speed_rpm=1800.0, duration_s=8.0, rate_hz=2000.0)
     angle = np.arange(240 * 60 + 1) / 60.0 - 0.3
@@ -177,9 +175,7 @@ def test_the_speed_of_a_frame_is_that_in_its_middle():
     np.testing.assert_allclose(frames["speed"].values, 60.0 * np.sqrt(100.0 + middle), rtol=1e-8)
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("share_of_rate", [0.499, 0.3, 0.39, 0.45, 0.48, 0.42])
-@pytest.mark.parametrize("speed_rpm", [300.0, 1000.0, 2000.0, 1487.0])
+@pytest.mark.parametrize(("share_of_rate", "speed_rpm"), [(0.499, 300.0), (0.42, 1487.0), (0.3, 2000.0)])
 def test_content_above_the_orders_does_not_fold_onto_them(share_of_rate, speed_rpm):
     tone = share_of_rate * 1785.0 * 60.0 / speed_rpm
     signal = total(line(1.0, 1.0), lambda t, _: np.cos(2 * np.pi * share_of_rate * 1785.0 * t))
@@ -206,36 +202,23 @@ def test_any_number_of_revolutions_is_analysed():
                 np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=2.0).values), 1.0, atol=1e-6)
 
 
-@pytest.mark.cases(4)
-@pytest.mark.parametrize("rise", [0.0, 1.5])
-@pytest.mark.parametrize("encoder", ["speed", "square"])
+@pytest.mark.parametrize(("encoder", "rise"), [("speed", 1.5), ("square", 0.0)])
 def test_a_record_of_whole_turns_is_read_to_its_last_sample(encoder, rise):
-    settings = asked(max_order=4.0)
-    for turns in (*range(2, 36), 63, 64, 65, 200):
-        for more in (-1, 0, 1):
-            band = _whole_turns(turns, encoder, rise=rise, more=more)
-            frames = order_frames(band, shaft_angle(band, settings=load_settings().shaft), settings=settings)
-            assert frames.attrs["revs_per_frame"] + frames["crank_angle"].values[-1] > turns - 9
-            np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=1.0).values), 1.0, atol=0.02)
-
-
-def _whole_turns(turns, encoder, *, rise, more):
-    """Recording of order 1, ``turns`` turns and ``more`` samples long, in which the speed rises by a share ``rise``."""
-    rate_hz = 1000.0
-    duration_s = round(turns / 17.3 / (1.0 + 0.5 * rise) * rate_hz) / rate_hz
-    time_s = np.arange(round(duration_s * rate_hz) + 1 + more) / rate_hz
-    first_hz = turns / duration_s / (1.0 + 0.5 * rise)
-    angle = first_hz * (time_s + 0.5 * rise * time_s**2 / duration_s)
-    band = steady(
-        [lambda *_: np.cos(2 * np.pi * angle)], speed_rpm=1.0, duration_s=len(angle) / rate_hz, rate_hz=rate_hz
-    )[0]
-    band.attrs |= {"encoder_kind": encoder, "revs_per_cycle": 1, "missing_teeth": 0, "ratio": 1.0}
-    if encoder == "speed":
-        speed = 60.0 * first_hz * (1.0 + rise * time_s / duration_s)
-        return band.assign(speed_signal=("time", speed, {"units": "min-1"}))
-    edges = np.interp(np.arange(math.floor(angle[-1] * 60.0 + 1e-9) + 1) / 60.0, angle, time_s)
-    band.attrs["pulses_per_rev"] = 60
-    return band.assign(pulse_time=("pulse", edges, {"units": "s"}))
+    """Of order 1, whole turns and a sample less or more long; the speed rises by a share ``rise``."""
+    for turns, more in product((2, 3, 9, 16, 17, 31, 64, 65), (-1, 0, 1)):
+        count = round(turns / 17.3 / (1.0 + 0.5 * rise) * 1000.0)
+        time_s = np.arange(count + 1 + more) / 1000.0
+        first_hz, share = 1000.0 * turns / count / (1.0 + 0.5 * rise), 1000.0 * time_s / count
+        angle = first_hz * time_s * (1.0 + 0.5 * rise * share)
+        attrs = {"encoder_kind": encoder, "rate_hz": 1000.0, "revs_per_cycle": 1, "missing_teeth": 0, "ratio": 1.0}
+        band = sampled(np.cos(2 * np.pi * angle)[None], pulses_per_rev=60, **attrs)
+        edges = np.interp(np.arange(math.floor(angle[-1] * 60.0 + 1e-9) + 1) / 60.0, angle, time_s)
+        speed = ("time", 60.0 * first_hz * (1.0 + rise * share), {"units": "min-1"})
+        told = {"speed_signal": speed} if encoder == "speed" else {"pulse_time": ("pulse", edges, {"units": "s"})}
+        angles = shaft_angle(band.assign(told), settings=load_settings().shaft)
+        frames = order_frames(band, angles, settings=asked(max_order=4.0))
+        assert frames.attrs["revs_per_frame"] + frames["crank_angle"].values[-1] > turns - 9
+        np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=1.0).values), 1.0, atol=0.02)
 
 
 def test_orders_that_the_rate_cannot_carry_are_missing_not_wrong():
@@ -262,23 +245,6 @@ def test_crank_angle_samples_give_order_spectra_straight():
         frames = order_frames(band, angles, settings=SETTINGS)
         np.testing.assert_allclose(frames["spectrum"].sel(order=5.5).values, 0.4 * np.exp(0.8j), atol=1e-11)
         assert np.isnan(frames["speed"].values).all()
-
-
-@pytest.mark.slow
-def test_ramps_of_10_krpm_per_second_over_a_minute():
-    """60 s between 1500 and 6500 rpm, up and down, order 4 of 2 m/s2 and smaller ones beside it."""
-    rate, middle_hz, swing_hz = 20_000.0, 4000.0 / 60.0, 2500.0 / 60.0
-    turning = 10_000.0 / 60.0 / swing_hz  # rad/s
-    knots = np.arange(0.0, 60.0, 0.001)
-
-    def revs(t):
-        return middle_hz * t - swing_hz / turning * np.cos(turning * t)
-
-    time_s = np.arange(round(59.9 * rate)) / rate
-    signal = total(line(0.5, 0.1), line(4.0, 2.0), line(5.5, 0.3, 1.0))(time_s, revs(time_s))[None]
-    angle = shaft(knots, revs(knots), 60.0 * (middle_hz + swing_hz * np.sin(turning * knots)))
-    frames = order_frames(sampled(signal, rate_hz=rate), angle, settings=SETTINGS)["spectrum"].sel(order=[4.0, 5.5])
-    np.testing.assert_allclose(frames.values[0] - [2.0, 0.3 * np.exp(1j)], 0.0, atol=2e-6)
 
 
 def test_an_order_120_db_below_another_is_read_from_samples_of_24_bits():

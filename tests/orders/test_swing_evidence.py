@@ -69,64 +69,33 @@ def rows(spectra, noise, rng):
     return Rows(grid + scatter, np.full(grid.shape, noise**2))
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("swept", [0, 1])
-def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
+def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go():
     rng = np.random.default_rng(4)
     spectrum = rng.standard_normal((2, 6, 320)) + 1j * rng.standard_normal((2, 6, 320))
     spectrum[:, 3:, 200:] = spectrum[1, :, 240:] = np.nan
     variables = {"spectrum": (("channel", "frame", "order"), spectrum)}
-    found = rows_of([xr.Dataset(variables, attrs={"revs_per_frame": 16, "swept": swept})])
-    assert found is not None and found.value.shape[1] == 40
-    assert np.median(found.noise[:, 4:20]) == pytest.approx(2.0 / (1 if swept else 3), rel=0.3)
-    assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found, EXPECTED, {}))
+    for swept, noise in ((0, 2.0 / 3.0), (1, 2.0)):
+        found = rows_of([xr.Dataset(variables, attrs={"revs_per_frame": 16, "swept": swept})])
+        assert found is not None and found.value.shape[1] == 40
+        assert np.median(found.noise[:, 4:20]) == pytest.approx(noise, rel=0.3)
+        assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found, EXPECTED, {}))
 
 
 def phases(rng, orders):
     return {order: complex(rng.lognormal() * np.exp(2j * np.pi * rng.random())) for order in orders}
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("degrees", [0.05, 0.2, 0.5])
-def test_an_eccentric_encoder_is_told_with_its_interval(degrees):
-    rng = np.random.default_rng(round(1000 * degrees))
+def test_an_eccentric_encoder_is_told_with_its_interval():
+    rng = np.random.default_rng(50)
     inside = 0
     for _ in range(6):
-        size = degrees / 360.0 * np.exp(2j * np.pi * rng.random())
+        size = 0.05 / 360.0 * np.exp(2j * np.pi * rng.random())
         spectra = [shown(phases(rng, [2.0, 5.5, 9.0, 16.0]), {1: size}) for _ in range(4)]
         found = swings_of(rows(spectra, 5e-4, rng), EXPECTED, {1: (size, 1e-6)})[0]
         assert found.proved
         inside += abs(found.size - size) < found.left_rev
         assert abs(found.size - size) < 0.1 * abs(size)
     assert inside >= 5
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("swings", [{1: 0.45}, {1: 0.44, 2: 0.11}])
-def test_what_one_line_alone_can_show_is_bounded_by_no_less_than_it_is(swings):
-    rng = np.random.default_rng(11)
-    for _ in range(3):
-        true = {k: degrees / 360.0 * np.exp(2j * np.pi * rng.random()) for k, degrees in swings.items()}
-        lines = phases(rng, [1.0, 2.0, 3.0, 4.0, 5.0])
-        # a sweep: many short frames, whose orders grow each in its own way; only order 6 has no line of its own
-        growth = {order: rng.uniform(0.0, 2.0) for order in lines}
-        frames = [shown({n: size * grown ** growth[n] for n, size in lines.items()}, true) for grown in (1.0, 1.5, 2.2)]
-        found = swings_of(rows(frames * 40, 1e-3, rng), EXPECTED, {k: (size, 1e-6) for k, size in true.items()})
-        for k, size in true.items():
-            swing = found[k - 1]
-            told = abs(swing.size - size) if swing.proved else abs(size)
-            assert told < 1.25 * swing.left_rev  # what is of second order is not in it
-
-
-@pytest.mark.slow
-def test_teeth_that_sit_wrongly_are_told_at_all_low_harmonics():
-    rng = np.random.default_rng(12)
-    level = 0.15 / 360.0
-    true = {k: level * complex(*rng.standard_normal(2)) * 0.5**0.5 for k in range(1, 7)}
-    spectra = [shown(phases(rng, [1.0, 2.5, 6.0, 8.5]), true) for _ in range(4)]
-    by_pulses = {k: (size, 1e-6) for k, size in true.items()}
-    found = swings_of(rows(spectra, 5e-4, rng), Expected(EXPECTED.settings, level), by_pulses)
-    assert sum(abs(one.size - true[one.harmonic]) < max(one.left_rev, 0.1 * level) for one in found if one.proved) >= 5
 
 
 def test_a_good_encoder_is_cleared():
@@ -140,7 +109,6 @@ def test_a_good_encoder_is_cleared():
     assert not any(swing.proved for swing in swings_of(rows(at_one_speed, 5e-4, rng), EXPECTED, {}))
 
 
-@pytest.mark.slow
 def test_a_wheel_that_is_set_off_modulates_its_own_mesh_and_is_no_encoder():
     rng = np.random.default_rng(6)
     for _ in range(8):
@@ -154,12 +122,10 @@ def test_a_wheel_that_is_set_off_modulates_its_own_mesh_and_is_no_encoder():
         assert not swings_of(rows([shown(lines, {}) for _ in range(4)], 1e-3, rng), EXPECTED, STILL)[0].proved
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("error_deg", [0.0, 0.3])
-def test_pulses_part_an_error_of_the_encoder_from_a_swing_that_falls_with_speed(error_deg):
+def test_pulses_part_an_error_of_the_encoder_from_a_swing_that_falls_with_speed():
     rng = np.random.default_rng(3)
     rpm = np.array([700.0, 900.0, 1300.0, 2000.0])
-    error, swing = error_deg / 360.0 * np.exp(1j), 2.0 / 360.0 * np.exp(-2j)
+    error, swing = 0.3 / 360.0 * np.exp(1j), 2.0 / 360.0 * np.exp(-2j)
     pulses = np.zeros((4, 1 + len(HARMONICS)), dtype=complex)
     pulses[:, 0], pulses[:, 1] = rpm, error + swing * (700.0 / rpm) ** 2
     alike = alike_at_all_speeds(pulses, slack=0.03)

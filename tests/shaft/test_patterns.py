@@ -11,10 +11,10 @@ from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
-from crankorder.shaft.pattern import grid_of, known_names, pattern_of
+from crankorder.shaft.pattern import known_names, pattern_of
 from crankorder.shaft.repair import running_part
 from crankorder.shaft.speeds import speed_swing
-from crankorder.shaft.tooth_errors import line_pattern, same_wheel, stated_teeth, tooth_errors
+from crankorder.shaft.tooth_errors import same_wheel, stated_teeth, tooth_errors
 from crankorder.shaft.uneven_wheel import find_pattern, wheel_of
 from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.lines import lag_by_order
@@ -80,16 +80,12 @@ def test_lost_and_false_pulses_of_every_wheel_are_repaired_and_counted():
         assert_true_angles(teeth, pulse_s, true_rev)
 
 
-@pytest.mark.slow
 def test_angles_off_every_grid_are_kept_exactly():
     angles = (0.0, 31.07, 60.003, 88.9, 121.31, 149.5, 181.77, 240.29, 270.011, 301.3, 329.87)
-    assert any(grid_of(angles)[2])
     pulse_s, true_rev = pulses_of(angles, irregularity=0.002)
     teeth = numbered(angles, pulse_s)
-    time_s, angle = angle_function(irregularity=0.002)
-    assert_true_angles(teeth, time_s, angle + 0.37, atol=3e-6)
-    assert teeth.n_repaired == 0
-    assert true_rev.size == teeth.tooth.size
+    assert teeth.n_repaired == 0 and true_rev.size == teeth.tooth.size
+    assert_true_angles(teeth, pulse_s, true_rev, atol=3e-6)
 
 
 def test_a_wheel_that_repeats_takes_its_phase_from_the_index(recording_of):
@@ -114,9 +110,8 @@ def test_another_wheel_is_refused_and_named():
 
 
 @pytest.mark.parametrize("name", WHEELS)
-@pytest.mark.parametrize("motion", [{}, {"irregularity": 0.0}, {"start_rpm": 300.0, "end_rpm": 3600.0}])
-def test_every_wheel_is_found_by_itself(name, motion):
-    pulse_s, _ = pulses_of(name, **motion)
+def test_every_wheel_is_found_by_itself(name):
+    pulse_s, _ = pulses_of(name, start_rpm=300.0, end_rpm=3600.0)
     found = find_pattern(pulse_s)
     assert found is not None
     once = {"44-2-2": "22-2", "66-2-2-2": "22-2"}  # as they look where nothing tells a revolution
@@ -257,7 +252,7 @@ def cranking(name, seed, *, revs=4.3):
     return passed(pattern_of(name).angles_deg, time_s, angle)
 
 
-@pytest.mark.parametrize("name", ["12+1", "60-2", "36-1", "24-1", "36-2-2-2"])
+@pytest.mark.parametrize("name", ["12+1", "60-2", "36-2-2-2"])
 def test_a_stated_wheel_is_read_in_a_few_turns_of_cranking(name):
     for seed in range(8):
         pulse_s, true_rev = cranking(name, seed, revs=2.3 + 0.4 * (seed % 3))
@@ -268,10 +263,7 @@ def test_a_stated_wheel_is_read_in_a_few_turns_of_cranking(name):
         np.testing.assert_allclose(away, np.round(away[0]), atol=0.2 / teeth.teeth_per_rev)
 
 
-@pytest.mark.parametrize(
-    ("real", "stated"),
-    [("60-2", "60-1"), ("60-2", "60-3"), ("36-1", "36-2"), ("36-2", "36-1"), ("24-1", "24-2"), ("36-2-1", "36-2-2")],
-)
+@pytest.mark.parametrize(("real", "stated"), [("60-2", "60-3"), ("36-2", "36-1"), ("36-2-1", "36-2-2")])
 def test_a_wheel_that_each_turn_contradicts_at_a_gap_is_refused(real, stated):
     for seed in range(0, 8, 2):
         with pytest.raises(InputError):
@@ -281,7 +273,7 @@ def test_a_wheel_that_each_turn_contradicts_at_a_gap_is_refused(real, stated):
 # Teeth that sit wrongly are the wheel's: taken out of the angle, while the shaft's own swing stays.
 
 
-EVEN_WHEELS = [(60, 0), (36, 0), (24, 1), (60, 2), (360, 0)]
+MANY = ((0.5, 0.02), (1, 0.03), (2, 0.04), (4, 0.01))
 
 
 def pulse_times(wheel, errors, *, swing=(), rpm=1000.0, turns=60.0, seed=0):
@@ -309,8 +301,7 @@ def decoded(recording_of, times, wheel, by=SETTINGS):
     return shaft_angle(recording_of(times, **given), settings=by)
 
 
-@pytest.mark.parametrize("wheel", EVEN_WHEELS)
-@pytest.mark.parametrize("share", [0.05, 0.12])
+@pytest.mark.parametrize(("wheel", "share"), [((60, 0), 0.05), ((24, 1), 0.12), ((360, 0), 0.12)])
 def test_teeth_that_sit_wrongly_make_no_swing(recording_of, wheel, share):
     shaft = decoded(recording_of, pulse_times(wheel, drawn(wheel, share, 3)), wheel)
     flags = {flag["flag"] for flag in flags_of(shaft)}
@@ -320,17 +311,14 @@ def test_teeth_that_sit_wrongly_make_no_swing(recording_of, wheel, share):
     assert np.sqrt(np.sum(swing.steady_rpm[swing.orders > 6.0] ** 2)) < 0.003 * swing.speed_rpm
 
 
-@pytest.mark.parametrize("wheel", EVEN_WHEELS)
-@pytest.mark.parametrize("swing", [((0.5, 0.02), (1, 0.03), (2, 0.04), (4, 0.01)), ((2, 0.1),)])
+@pytest.mark.parametrize(("wheel", "swing"), [((60, 2), MANY), ((24, 1), ((2, 0.1),)), ((360, 0), MANY)])
 def test_the_swing_of_a_shaft_is_no_error_of_its_wheel(wheel, swing):
     times = pulse_times(wheel, np.zeros(wheel[0]), swing=swing)
     assert found_in(times, wheel, revs_per_cycle=2) is None
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("seed", range(4))
-def test_a_swing_stands_out_of_wrong_teeth_with_what_they_may_make_of_it(recording_of, seed):
-    wheel = (60, 0)
+def test_a_swing_stands_out_of_wrong_teeth_with_what_they_may_make_of_it(recording_of):
+    wheel, seed = (60, 0), 0
     times = pulse_times(wheel, drawn(wheel, 0.08, seed), swing=((2, 0.1),), seed=seed)
     shaft = decoded(recording_of, times, wheel)
     swing = speed_swing(shaft)
@@ -346,7 +334,6 @@ def test_few_revolutions_that_swing_more_than_a_shaft_can_are_doubted(recording_
     assert len(details) == 1 and "more than a shaft can" in details[0]
 
 
-@pytest.mark.slow
 def test_a_wheel_is_known_again_and_another_is_not():
     wheel, stated = (60, 2), []
     for seed, rpm in ((1, 800.0), (1, 1900.0), (2, 1900.0)):
@@ -366,19 +353,6 @@ def test_small_errors_of_teeth_are_learned_where_the_encoder_is_in_doubt(recordi
         shaft = decoded(recording_of, times, wheel, by)
         error[name] = np.std(shaft["crank_angle"].values - shaft["time"].values * 1000.0 / 60.0)
     assert error["doubting"] < 0.6 * error["default"]
-
-
-def test_drift_of_the_speed_leaves_no_pattern_and_touches_no_order():
-    lines, time_s = 60, np.linspace(0.0, 6.0, 1_000_001)
-    error = 1e-3 * np.sin(2 * np.pi * np.arange(lines) / lines + 0.7)
-    ramp = 1000.0 / 60.0 * time_s + 0.5 * 300.0 / 6.0 / 60.0 * time_s**2
-    wobble = 1000.0 / 60.0 * time_s - 10.0 / 60.0 / (2 * np.pi * 0.4) * np.cos(2 * np.pi * 0.4 * time_s + 1.2)
-    for angle, error_rev, atol in ((ramp, 0.0 * error, 1e-8), (wobble, error, 1e-7)):
-        tooth = np.arange(np.ceil(angle[0] * lines) + 1, np.floor(angle[-1] * lines) - 1).astype(int)
-        pulse_s = np.interp(tooth / lines + error_rev[tooth % lines], angle, time_s)
-        pattern = line_pattern(pulse_s, tooth, teeth_per_encoder_rev=lines)
-        expected = np.fft.rfft(error_rev) * (2.0 / lines)
-        np.testing.assert_allclose(pattern.harmonic_rev, expected, rtol=0.0, atol=atol)
 
 
 # Swing of the speed within the cycle, against the motion that was put in and a real engine.
@@ -401,12 +375,9 @@ def swinging(lines, *, rpm=1500.0, per_rev=30, seconds=3.0, slope=0.0, noise_rpm
     return xr.Dataset(columns, attrs={"n_pulses": 1000, "revs_per_cycle": 2})
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("seed", range(4))
-def test_orders_and_amplitudes_are_those_that_were_put_in(seed):
-    rng = np.random.default_rng(seed)
-    rpm = rng.uniform(600, 4000)
-    lines = {order: rpm * rng.uniform(0.002, 0.02) for order in (0.5, 1.0, 2.0, 3.5)}
+@pytest.mark.parametrize("rpm", [700.0, 3600.0])
+def test_orders_and_amplitudes_are_those_that_were_put_in(rpm):
+    lines = {0.5: 0.003 * rpm, 1.0: 0.02 * rpm, 2.0: 0.01 * rpm, 3.5: 0.005 * rpm}
     swing = speed_swing(swinging(lines, rpm=rpm, seconds=60.0 / rpm * 40))
     assert swing is not None and swing.speed_rpm == pytest.approx(rpm, rel=5e-3)
     for order, size in lines.items():

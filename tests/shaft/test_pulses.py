@@ -14,10 +14,8 @@ def pulses(trace, *, kind="square", edge="rising", rate_hz=50_000.0, pulses_per_
     )
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("speed_rpm", [2000.3, 1013.0, 300.0])
-def test_every_edge_of_a_sampled_square_wave_is_found_within_half_a_sample(known_shaft, speed_rpm):
-    shaft = known_shaft(speed_rpm)
+def test_every_edge_of_a_sampled_square_wave_is_found_within_half_a_sample(known_shaft):
+    shaft = known_shaft(2000.3)
     found = pulses(shaft.square(360))
     exact = shaft.pulse_time_s(360)
     exact = exact[(exact > 0) & (exact <= shaft.time_s[-1])]
@@ -101,16 +99,11 @@ def test_a_trace_without_pulses_is_refused_with_a_remedy():
         assert "encoder" in str(error.value)
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize(
-    "name",
-    [
-        "E0FULLOAD4EngineOff.txt", "ENGINEOFF.txt", "ENGINEOFF2.txt", "full_load.txt", "E0FULLOAD1.txt",
-        "E0FULLOAD2.txt", "E0HALFLOAD1.txt", "E0NOLOAD1.txt", "E10FULLLOAD1.txt",
-    ],
-)  # fmt: skip
-def test_a_real_pickup_gives_58_teeth_between_gaps_at_every_load(genset_pickup, name):
-    found = pulses(genset_pickup(name), kind="analogue", rate_hz=100_000.0, pulses_per_rev=60)
+@pytest.mark.parametrize("name", ["E0FULLOAD4EngineOff.txt", "E10FULLLOAD1.txt"])
+def test_a_real_pickup_gives_58_teeth_between_gaps_running_and_coasting(shared_data, name):
+    (path,) = (shared_data / "tue_genset").rglob(name)
+    trace = np.loadtxt(path, usecols=2 if "Training Set" in str(path) else 1)
+    found = pulses(trace, kind="analogue", rate_hz=100_000.0, pulses_per_rev=60)
     interval = np.diff(found.time_s)
     gap = np.flatnonzero(interval[1:-1] > 2.2 * np.median(interval)) + 1
     local = np.flatnonzero(interval[1:-1] > 2.2 * np.minimum(interval[:-2], np.roll(interval, -3)[:-2])) + 1
@@ -119,12 +112,11 @@ def test_a_real_pickup_gives_58_teeth_between_gaps_at_every_load(genset_pickup, 
     assert set(np.diff(behind)) == {58}
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("duty", [1 / 360, 0.01, 0.5])
-@pytest.mark.parametrize("noise", [0.02, 0.0])
-def test_a_mark_of_two_levels_is_read_as_a_square_wave_beside_a_pickup(known_shaft, duty, noise):
+def test_a_mark_of_two_levels_is_read_as_a_square_wave_beside_a_pickup(known_shaft):
     shaft = known_shaft(300.0, duration_s=6.0)
-    trace = 5.0 * (shaft.angle_rev() % 1.0 < duty) + noise * np.random.default_rng(9).standard_normal(shaft.time_s.size)
+    trace = 5.0 * (shaft.angle_rev() % 1.0 < 1 / 360) + 0.02 * np.random.default_rng(9).standard_normal(
+        shaft.time_s.size
+    )
     found = pulses(trace, kind="analogue", pulses_per_rev=1)
     np.testing.assert_array_equal(found.time_s, pulses(trace, pulses_per_rev=1).time_s)
     exact = shaft.pulse_time_s(1)

@@ -1,25 +1,16 @@
-"""Speed and angle from the vibration itself: against shafts whose motion is known, scenes, and measured speeds."""
+"""Speed and angle from the vibration itself: against shafts whose motion is known."""
 
-import wave
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
-import pandas as pd
 import pytest
-from scipy.io import loadmat
 
 from crankorder.errors import InputError
 from crankorder.settings import load_settings
-from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.vibration_speed import FOUR_STROKE_WEIGHTS, speed_from_vibration, trusted_angle
-from crankorder.synth.load import load_scene
-from crankorder.synth.noise import floor_of
-from crankorder.synth.recording import synthesise
 
 SETTINGS = load_settings().shaft
 RATE_HZ = 4096.0
-Motion = Callable[[np.ndarray], np.ndarray]
 
 
 def vibration(angle_rev, duration_s, *, orders, noise=0.35, tones=None, seed=1):
@@ -73,7 +64,6 @@ def test_speed_follows_a_known_motion_and_is_unsure_where_it_does_not(name):
     assert np.median(found.confidence) > 0.6
 
 
-@pytest.mark.cases(2)
 @pytest.mark.parametrize(("name", "within_deg"), [("run-up", 3.0), ("steady", 0.8), ("wobbling", 1.5)])
 def test_the_angle_is_told_within_a_few_degrees_and_its_standard_error_is_honest(name, within_deg):
     knots = followed(name).knots
@@ -126,7 +116,7 @@ def test_noise_alone_tells_no_speed():
 
 def test_an_angle_is_refused_where_the_speed_is_a_guess_and_given_where_it_is_not():
     ends = []
-    for seed in range(8):
+    for seed in range(4):
         signal = vibration(steady(30.0), 3.0, orders=SOME, seed=seed)
         ends.append(trusted_angle(speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)).angle_rev[-1])
     # 0.043 rev, measured: the first and the last tenth of a second have neighbours on one side only
@@ -165,52 +155,10 @@ def test_a_signal_that_cannot_tell_a_speed_is_refused():
             speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
 
 
-def test_a_firing_engine_is_followed_to_a_part_in_a_thousand():
-    scene = load_scene("thesis-second-firing").first_look()
-    run = scene.runs[0]
-    rate_hz = scene.rate_hz(run.speed_rpm)
-    signal = synthesise(scene, run, floor_of(scene, rate_hz)).recorded.samples.astype(np.float64)
-    found = speed_from_vibration(signal, rate_hz, settings=SETTINGS, order_weights=FOUR_STROKE_WEIGHTS)
-    assert np.median(np.abs(found.knots.speed_rpm / run.speed_rpm - 1.0)) < 1e-3
-    assert np.median(found.confidence) > 0.9
-
-
-@pytest.mark.slow
-def test_a_measured_car_run_up_agrees_with_its_speed_track(shared_data):
-    with wave.open(str(shared_data / "ansys_accel" / "accel_with_rpm.wav")) as file:
-        rate_hz, frames = file.getframerate(), file.readframes(file.getnframes())
-    pressure, speed = np.frombuffer(frames, dtype="<i2").reshape(-1, 2).T / 32768.0 * [[0.99655], [4821.43]]
-    found = speed_from_vibration(pressure[None], rate_hz, settings=SETTINGS, order_weights=FOUR_STROKE_WEIGHTS)
-    track = np.interp(found.knots.time_s, np.arange(speed.size) / rate_hz, speed)
-    error = np.abs(found.knots.speed_rpm / track - 1.0)
-    assert np.median(error) < 0.003
-    assert np.quantile(error, 0.95) < 0.01
-
-
-@pytest.mark.slow
-def test_measured_rotor_coast_downs_agree_with_their_tach(shared_data):
-    for path in sorted((shared_data / "rotorbalancer" / "2020-04_stepped").glob("*.csv"))[::6]:
-        table = pd.read_csv(path, comment="#")
-        tach = table["ir"].to_numpy()
-        pulse_s = find_pulses(
-            tach, rate_hz=952.0, kind="square", edge="rising", pulses_per_rev=1, settings=SETTINGS
-        ).time_s
-        # the tach itself is known to a sample in some 15: its count over the record is what is sure
-        fit = np.polyder(np.polyfit(pulse_s, np.arange(pulse_s.size), 3))
-        acceleration = table["acc_counts"].to_numpy(dtype=np.float64)
-        found = speed_from_vibration(
-            acceleration[None], 952.0, settings=SETTINGS, order_weights={1.0: 0.95, 2.0: 0.4, 3.0: 0.2}
-        )
-        inside = (found.knots.time_s > 0.15) & (found.knots.time_s < 0.85)
-        error = found.knots.speed_rpm[inside] / (60.0 * np.polyval(fit, found.knots.time_s[inside])) - 1.0
-        assert np.median(np.abs(error)) < 0.012, path
-
-
-@pytest.mark.slow
-def test_a_measured_bearing_rig_turns_as_its_file_says(shared_data):
-    for name in ("0.007-InnerRace", "0.021-OuterRace6"):
-        table = loadmat(shared_data / "cwru_12k_de_1750" / f"{name}.mat")
-        (stated_rpm,) = (float(table[key].item()) for key in table if key.endswith("RPM"))
-        signal = np.array([table[key].ravel() for key in sorted(table) if key.endswith("_time")])[:, :60_000]
-        found = speed_from_vibration(signal, 12_000.0, settings=SETTINGS)
-        assert np.median(found.knots.speed_rpm) == pytest.approx(stated_rpm, rel=0.005), name
+def test_half_orders_are_those_of_a_four_stroke_engine_and_else_whole_ones_of_half_the_speed():
+    sizes = (0.8, 1.0, 0.8, 0.9, 0.6, 0.5, *[0.4] * 6)
+    signal = vibration(steady(25.0), 4.0, orders={0.5 * k: size for k, size in enumerate(sizes, 1)})
+    for weights, rpm in ((FOUR_STROKE_WEIGHTS, 1500.0), (None, 750.0)):
+        found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS, order_weights=weights)
+        assert np.median(np.abs(found.knots.speed_rpm / rpm - 1.0)) < 1e-3
+        assert np.median(found.confidence) > 0.9

@@ -28,6 +28,12 @@ def decoded(recording_of, trace, index=None, *, rate_hz=50_000.0, **attrs):
     return shaft_angle(recording, settings=SETTINGS)
 
 
+def order_error(estimated_rev, true_rev, order):
+    """What an order reads, over what it is, when analysed by an estimated instead of the true angle."""
+    known = np.isfinite(estimated_rev)
+    return complex(np.mean(np.exp(2j * np.pi * order * (true_rev[known] - estimated_rev[known]))))
+
+
 def angle_of(angle, time_s):
     return angle_at(time_s, **knots_of(angle))
 
@@ -38,7 +44,7 @@ def detail_of(angle, flag):
     return details[0]
 
 
-def test_a_clean_train_has_no_repairs_and_its_index_is_angle_zero(known_shaft, recording_of, order_error):
+def test_a_clean_train_has_no_repairs_and_its_index_is_angle_zero(known_shaft, recording_of):
     shaft = known_shaft(1000.0, irregularity=TORSION)
     angle = decoded(recording_of, shaft.square(360), shaft.index(360), index_to_tdc_deg=0.0)
     assert {item["severity"] for item in flags_of(angle)} <= {"info"}
@@ -55,7 +61,7 @@ def test_d1_the_lost_pulse_is_located(known_shaft, recording_of):
     assert float(when) == pytest.approx(pulse_s[777], abs=1e-4)
 
 
-def test_d2_a_damaged_line_is_named_by_its_angle_and_its_orders_are_right(known_shaft, recording_of, order_error):
+def test_d2_a_damaged_line_is_named_by_its_angle_and_its_orders_are_right(known_shaft, recording_of):
     shaft = known_shaft(1000.0, irregularity=TORSION)
     trace = shaft.square(360, lost=lambda k: k % 360 == 90)
     angle = decoded(recording_of, trace, shaft.index(360))
@@ -68,7 +74,7 @@ def test_d2_a_damaged_line_is_named_by_its_angle_and_its_orders_are_right(known_
     assert abs(np.degrees(np.angle(error))) < 0.1
 
 
-def test_d5_without_an_index_orders_are_right_and_the_phase_is_flagged(known_shaft, recording_of, order_error):
+def test_d5_without_an_index_orders_are_right_and_the_phase_is_flagged(known_shaft, recording_of):
     shaft = known_shaft(1000.0)
     angle = decoded(recording_of, shaft.square(360))
     assert angle.attrs["phase_reference"] == "none"
@@ -86,16 +92,16 @@ def test_d9_a_wrong_number_of_pulses_is_refused_with_both_numbers(known_shaft, r
 
 
 def test_an_index_mark_lost_or_extra_is_flagged_and_does_no_harm(known_shaft, recording_of):
-    for fault, flag in [("lost", "index_lost"), ("extra", "index_extra"), ("doubled", "index_extra")]:
-        shaft = known_shaft(900.0)
-        pulse_s, index_s = shaft.pulse_time_s(60), shaft.pulse_time_s(1)
-        more = {"lost": [], "extra": [pulse_s[1007] + 1e-5], "doubled": [index_s[20] + 1e-5]}[fault]
-        marks = np.sort(np.append(np.delete(index_s, 11) if fault == "lost" else index_s, more))
+    shaft = known_shaft(900.0)
+    pulse_s, index_s = shaft.pulse_time_s(60), shaft.pulse_time_s(1)
+    for flag, marks, where in (
+        ("index_lost", np.delete(index_s, 11), index_s[10]),
+        *(("index_extra", np.sort(np.append(index_s, at + 1e-5)), at) for at in (pulse_s[1007], index_s[20])),
+    ):
         angle = shaft_angle(
             recording_of(pulse_s, index_time_s=marks, pulses_per_rev=60, pulse_noise_s=1e-7), settings=SETTINGS
         )
         assert detail_of(angle, flag).startswith("1 ")
-        where = {"lost": index_s[10], "extra": more[0] if more else 0.0, "doubled": index_s[20]}[fault]
         (when,) = re.findall(r"at ([0-9.]+) s", detail_of(angle, flag))
         assert float(when) == pytest.approx(where, abs=2e-5)
         difference = angle_of(angle, index_s[1:-1])
@@ -181,12 +187,10 @@ def test_a_wheel_that_starts_from_rest_is_counted_to_its_first_tooth():
         assert found.n_repaired == 0 and (np.diff(found.tooth) == 1).all()
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("jitter", [0.17, 0.1])
-def test_a_jittering_encoder_is_counted_to_its_last_pulse(jitter):
+def test_a_jittering_encoder_is_counted_to_its_last_pulse():
     rng = np.random.default_rng(20)
     number = np.arange(200_000)
-    time_s = np.sort((number + jitter * rng.standard_normal(number.size)) / 18_000.0)
+    time_s = np.sort((number + 0.17 * rng.standard_normal(number.size)) / 18_000.0)
     teeth = number_teeth(time_s, wheel_of(720), settings=SETTINGS)
     assert teeth.n_repaired == 0
     assert teeth.tooth[-1] - teeth.tooth[0] == number[-1]
@@ -195,33 +199,31 @@ def test_a_jittering_encoder_is_counted_to_its_last_pulse(jitter):
 # A pulse lost anywhere on a wheel with a gap, its first and last turn included, leaves every number right.
 
 
-@pytest.mark.parametrize("start_rev", [0.3217, 0.93])
-@pytest.mark.parametrize(("teeth", "missing"), [(60, 2), (36, 1)])
-@pytest.mark.parametrize("irregularity", [{}, {0.5: 0.02, 2.0: 0.03}], ids=["even", "uneven"])
+@pytest.mark.parametrize(
+    ("teeth", "missing", "irregularity", "start_rev"), [(60, 2, {}, 0.3217), (36, 1, {0.5: 0.02, 2.0: 0.03}, 0.93)]
+)
 def test_a_pulse_lost_in_the_first_or_last_turn_leaves_every_number_right_and_is_flagged(
     known_shaft, teeth, missing, irregularity, start_rev
 ):
     shaft = known_shaft(1500.0, start_rev=start_rev, irregularity=irregularity, duration_s=0.13)
     pulse_s, true = wheel_with_gap(shaft, teeth, missing)
     turn, last = teeth - missing, pulse_s.size - 1
-    for lost in sorted({*range(1, turn), *range(turn, last - turn, 7), *range(last - turn, last)}):
+    for lost in sorted({*range(1, turn, 2), *range(turn, last - turn, 7), *range(last - turn, last, 2), 2, last - 1}):
         left_s = np.delete(pulse_s, lost)
         found = number_teeth(left_s, wheel_of(teeth, missing), settings=SETTINGS)
         kept = np.searchsorted(left_s, found.time_s)
         assert set((found.tooth - np.delete(true, lost)[kept]) % teeth) == {0}, lost
-
         assert {"encoder_missing_pulse", "encoder_double_pulse"} & {flag for flag, _, _ in found.flags}, lost
         assert 1 <= found.n_repaired <= 3
 
 
-@pytest.mark.parametrize("share", [0.1, 1 / 3, 0.55, 0.95])
-@pytest.mark.parametrize(("teeth", "missing"), [(60, 0), (60, 2), (36, 1), (24, 2)])
+@pytest.mark.parametrize(("teeth", "missing", "share"), [(60, 0, 0.55), (60, 2, 0.1), (24, 2, 0.95)])
 def test_a_false_pulse_anywhere_and_in_a_gap_is_removed_and_leaves_every_number_right(
     known_shaft, teeth, missing, share
 ):
     shaft = known_shaft(1500.0, duration_s=0.17)
     pulse_s, true = wheel_with_gap(shaft, teeth, missing)
-    for before in range(2, pulse_s.size - 3, 3):
+    for before in range(2, pulse_s.size - 3, 5):
         false_s = pulse_s[before] + share * (pulse_s[before + 1] - pulse_s[before])
         train_s = np.sort(np.append(pulse_s, false_s))
         found = number_teeth(train_s, wheel_of(teeth, missing), settings=SETTINGS)
@@ -330,11 +332,8 @@ def test_an_encoder_with_too_few_samples_per_tooth_is_bad_and_says_when():
     attrs = {"encoder_kind": "square", "pulses_per_rev": 60, "pulse_noise_s": pulses.noise_s, "revs_per_cycle": 1}
     recording = sampled(np.zeros((1, 30_000)), rate_hz=6000.0, **attrs)
     recording["pulse_time"] = ("pulse", pulses.time_s, {"units": "s"})
-    try:
-        flags = flags_of(shaft_angle(recording, settings=SETTINGS))
-    except InputError:
-        return  # refused outright is as good
-    assert "encoder_undersampled" in {flag["flag"] for flag in flags if flag["severity"] == "bad"}
+    flags = flags_of(shaft_angle(recording, settings=SETTINGS))
+    assert [flag["flag"] for flag in flags if flag["severity"] == "bad"] == ["encoder_undersampled"]
 
 
 # Crank angle from a speed signal: noise about standstill turns no shaft.
@@ -382,6 +381,12 @@ def trains(known_shaft, *, start_rev=0.3217):
     return shaft, pulse_s, index_s, cam_s[cam_s > 0.0]
 
 
+def assert_cycles(angle, shaft, pulse_s, late_rev, atol=1e-5):
+    """The decoded angle is the true one less ``late_rev``, up to whole cycles."""
+    away = (angle_of(angle, pulse_s) - shaft.angle_rev(pulse_s) + late_rev) / 2.0
+    np.testing.assert_allclose(away, np.round(away), atol=atol)
+
+
 def decoded_with_cam(recording_of, pulse_s, cam_s, **attrs):
     made = recording_of(pulse_s, pulses_per_rev=60, revs_per_cycle=2, pulse_noise_s=1e-7, **attrs)
     made["cam_time"] = ("cycle", cam_s, {"units": "s"})
@@ -393,7 +398,7 @@ def names(angle):
 
 
 def test_the_cam_tells_the_firing_dead_centre_wherever_the_record_starts(known_shaft, recording_of):
-    for start_rev in [0.0, 0.3217, 0.9, 1.4, 1.95]:
+    for start_rev in [0.0, 0.9, 1.95]:
         shaft, pulse_s, index_s, cam_s = trains(known_shaft, start_rev=start_rev)
         to_tdc = 360.0 * (2.0 - CAM_REV) + 30.0
         angle = decoded_with_cam(
@@ -402,8 +407,7 @@ def test_the_cam_tells_the_firing_dead_centre_wherever_the_record_starts(known_s
         assert angle.attrs["cycle_known"] == 1
         assert angle.attrs["phase_reference"] == "tdc"
         assert "cycle_phase_unknown" not in names(angle)
-        away = (angle_of(angle, pulse_s) - (shaft.angle_rev(pulse_s) - 30.0 / 360.0)) / 2.0
-        np.testing.assert_allclose(away, np.round(away), atol=1e-5)
+        assert_cycles(angle, shaft, pulse_s, 30.0 / 360.0)
         assert -2.0 < angle_of(angle, pulse_s[:1])[0] <= 1e-6
 
 
@@ -411,27 +415,21 @@ def test_a_cam_alone_gives_dead_centre_and_cycle(known_shaft, recording_of):
     shaft, pulse_s, _, cam_s = trains(known_shaft)
     angle = decoded_with_cam(recording_of, pulse_s, cam_s, cam_to_tdc_deg=360.0 * (2.0 - CAM_REV))
     assert (angle.attrs["cycle_known"], angle.attrs["phase_reference"]) == (1, "tdc")
-    away = (angle_of(angle, pulse_s) - shaft.angle_rev(pulse_s)) / 2.0
-    np.testing.assert_allclose(away, np.round(away), atol=1e-4)
+    assert_cycles(angle, shaft, pulse_s, 0.0, atol=1e-4)
 
 
 def test_cam_faults_are_counted_and_located_and_do_no_harm(known_shaft, recording_of):
-    for fault in ["lost", "extra", "doubled"]:
-        shaft, pulse_s, index_s, cam_s = trains(known_shaft)
-        marks = {
-            "lost": np.delete(cam_s, 5),
-            "extra": np.sort(np.append(cam_s, cam_s[5] + 0.05)),
-            "doubled": np.sort(np.append(cam_s, cam_s[5] + 1e-4)),
-        }[fault]
+    shaft, pulse_s, index_s, cam_s = trains(known_shaft)
+    for flag, marks, where in (
+        ("cam_lost", np.delete(cam_s, 5), cam_s[4]),
+        *(("cam_extra", np.sort(np.append(cam_s, cam_s[5] + late)), cam_s[5] + late) for late in (0.05, 1e-4)),
+    ):
         angle = decoded_with_cam(recording_of, pulse_s, marks, index_time_s=index_s)
         assert angle.attrs["cycle_known"] == 1
         assert "cycle_from_cam" in names(angle)  # without its angle the cycle starts at the next dead centre
-        (flag,) = [flag for flag in flags_of(angle) if flag["flag"] == ("cam_lost" if fault == "lost" else "cam_extra")]
-        assert flag["detail"].startswith("1 cam marks")
-        where = {"lost": cam_s[4], "extra": cam_s[5] + 0.05, "doubled": cam_s[5] + 1e-4}[fault]
-        assert f"at {where:.6g} s" in flag["detail"]
-        away = (angle_of(angle, pulse_s) - (shaft.angle_rev(pulse_s) - 1.0)) / 2.0
-        np.testing.assert_allclose(away, np.round(away), atol=1e-5)
+        detail = detail_of(angle, flag)
+        assert detail.startswith("1 cam marks") and f"at {where:.6g} s" in detail
+        assert_cycles(angle, shaft, pulse_s, 1.0)
 
 
 def test_a_mark_that_comes_every_revolution_tells_no_cycle(known_shaft, recording_of):
@@ -446,8 +444,7 @@ def test_a_cam_angle_that_misses_every_dead_centre_is_flagged(known_shaft, recor
     angle = decoded_with_cam(
         recording_of, pulse_s, cam_s, index_time_s=index_s, cam_to_tdc_deg=360.0 * (2.0 - CAM_REV) + 90.0
     )
-    (flag,) = [flag for flag in flags_of(angle) if flag["flag"] == "cam_off"]
-    assert "+90 degrees" in flag["detail"]
+    assert "+90 degrees" in detail_of(angle, "cam_off")
 
 
 def test_an_encoder_on_the_camshaft_knows_the_cycle_by_its_own_mark(known_shaft, recording_of):
@@ -457,5 +454,4 @@ def test_an_encoder_on_the_camshaft_knows_the_cycle_by_its_own_mark(known_shaft,
     )
     angle = shaft_angle(made, settings=SETTINGS)
     assert angle.attrs["cycle_known"] == 1
-    away = (angle_of(angle, pulse_s) - shaft.angle_rev(pulse_s) + CAM_REV) / 2.0
-    np.testing.assert_allclose(away, np.round(away), atol=1e-4)
+    assert_cycles(angle, shaft, pulse_s, CAM_REV, atol=1e-4)
