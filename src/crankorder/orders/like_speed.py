@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
 from crankorder.orders.averages import (
+    NEAREST_BINS,
     Contrasts,
+    beside_bins,
     contrasts,
     helped_by_beside,
     neighbour_correlation,
     noise_of_mean,
     steepest_noise_beside,
 )
-from crankorder.orders.intervals import beyond_chance
+from crankorder.orders.intervals import beyond_chance, phases_compare
 from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, remark, with_flags
 from crankorder.shaft.speeds import Indices, held_speeds, speed_groups
 
@@ -36,9 +38,8 @@ CUT_OVERLAP = 0.5
 NEARLY = 0.75
 """Frames of this share of the common length and more are shown on its orders: their lines are that much wider."""
 
-SHAPE_SAMPLES = 1024
-"""Samples on which the shape of the window is evaluated where only its overlap matters."""
-
+SWEPT_SHARE = 0.1
+"""Share of a speed bin from which frames in it are taken to differ in speed."""
 
 ALIKE_SHARE = 0.01
 """Amplitudes that differ by less than this share of the larger are alike: speeds half a percent apart make no less."""
@@ -223,43 +224,6 @@ def _dataset(
 
 
 @dataclass(frozen=True)
-class LikeSpeedFrames:
-    """Frames of a test in groups of like speed.
-
-    ``spectrum`` (channels, frames, orders) complex, ``owner`` (frames,) the number of the recording, ``groups`` indices
-    of frames, slowest first, ``speed_rpm`` their mean speeds, ``n_power`` and ``n_complex`` (groups,) the independent
-    power and complex spectra that the overlapping frames of each are worth, ``used`` the OrderFrames taken,
-    ``remarks`` on what was left out.
-    """
-
-    spectrum: Complexes
-    owner: Ints
-    groups: list[Ints]
-    speed_rpm: Floats
-    n_power: Floats
-    n_complex: Floats
-    used: list[xr.Dataset]
-    remarks: list[QualityFlag]
-
-
-def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
-    """Groups of like speed, within ``speed_bin_rpm``, of all ``frames`` (OrderFrames) that are as long as most.
-
-    Frames of unknown speed stay with their recording, for nothing says that two ran alike.
-    """
-    used, remarks = common_frames(frames)
-    speed = np.concatenate([item["speed"].values for item in used])
-    owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
-    groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm), speed, owner)
-    window = hann(SHAPE_SAMPLES)
-    hop = max(1, round(SHAPE_SAMPLES * (1.0 - float(used[0].attrs["overlap"]))))
-    worth = [[window.independent_frames(hop, len(group), power=power) for group in groups] for power in (True, False)]
-    spectrum = np.concatenate([item["spectrum"].values for item in used], axis=1)
-    mean_rpm = np.array([speed[group].mean() for group in groups])
-    return LikeSpeedFrames(spectrum, owner, groups, mean_rpm, np.array(worth[0]), np.array(worth[1]), used, remarks)
-
-
-@dataclass(frozen=True)
 class Frames:
     """Frames to average: ``spectrum`` (channels, frames, orders), and for each the recording, its begin and speed."""
 
@@ -286,6 +250,11 @@ class AllFrames:
     begin_rev: Floats
     speed_rpm: Floats
     exponent: Ints
+
+    @property
+    def unit(self) -> Floats:
+        """What is taken out of each channel (channels, 1, 1)."""
+        return np.ldexp(1.0, self.exponent)[:, None, None]
 
     def of(self, which: Ints) -> Frames:
         """Those of the frames that ``which`` (numbers that grow) picks; a view where they are neighbours."""
@@ -372,28 +341,60 @@ class AtSpeed:
     freedom: Floats
 
 
-def rows(every: AllFrames, bins: Bins, framing: Framing, *, speed_bin_rpm: float) -> list[Indices]:
-    """Frames of ``every`` recording that share a row of the map, slowest first; those of unknown speed by recording.
+@dataclass(frozen=True)
+class LikeSpeedFrames:
+    """Frames of a test and the rows of like speed that they are averaged in.
+
+    ``used`` the OrderFrames taken, ``remarks`` on what was left out, ``every`` their frames, ``bins`` what noise is
+    told from, ``framing`` that of the frames, ``groups`` the indices of the frames of each row, slowest first.
+    """
+
+    used: list[xr.Dataset]
+    remarks: list[QualityFlag]
+    every: AllFrames
+    bins: Bins
+    framing: Framing
+    groups: list[Indices]
+
+    @property
+    def speed_rpm(self) -> Floats:
+        """Mean speed (rows,) of the frames of each row."""
+        return np.array([np.mean(self.every.speed_rpm[group]) for group in self.groups])
+
+    def at_columns(self, columns: Ints) -> LikeSpeedFrames:
+        """The frames at the orders numbered ``columns`` (rising) alone, for phases that all recordings share."""
+        every = replace(self.every, spectra=[spectrum[:, :, columns] for spectrum in self.every.spectra])
+        beside = np.minimum(np.searchsorted(columns, self.bins.beside[columns]), len(columns) - 1)
+        bins = Bins(beside, self.bins.worth[columns], np.ones(len(columns), dtype=np.bool_))
+        return replace(self, every=every, bins=bins)
+
+
+def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
+    """All ``frames`` (OrderFrames) that :func:`common_frames` takes, in rows; those of unknown speed by recording.
 
     Frames of a sweep fall into bins of ``speed_bin_rpm``. Speeds that are held, as in a stepped test, share a row
     within that width only where all that they show agrees; nothing says that two of unknown speed ran alike.
-    ``bins`` say what noise is told from, ``framing`` is that of the frames.
     """
+    used, remarks = common_frames(frames)
+    every, attrs, order = all_frames(used), used[0].attrs, used[0]["order"].values
+    beside, worth = beside_bins(order, line_step=1.0 / int(attrs["revs_per_cycle"]), count=NEAREST_BINS)
+    bins = Bins(beside, worth, phases_compare(used, order))
+    framing = Framing(float(attrs["revs_per_frame"]), str(attrs["window"]), SWEPT_SHARE * speed_bin_rpm)
     speed, owner = every.speed_rpm, every.owner
     groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner), speed, owner)
     held = held_speeds(speed, owner, width_rpm=speed_bin_rpm)
     place = np.full(len(speed), -1)
     for number, part in enumerate(held):
         place[part] = number
-    made: list[Indices] = []
+    rows: list[Indices] = []
     for group in groups:
         steps = np.unique(place[group])
         if len(steps) < 2 or steps[0] < 0:
-            made.append(group)
+            rows.append(group)
             continue
         shown = [(held[k], _at_speed(every.of(held[k]), bins, framing)) for k in steps.tolist()]
-        made += _agreeing(shown, bins)
-    return made
+        rows += _agreeing(shown, bins)
+    return LikeSpeedFrames(used, remarks, every, bins, framing, rows)
 
 
 def _unknown_apart(groups: list[Indices], speed: Floats, owner: Ints) -> list[Indices]:
@@ -421,7 +422,7 @@ def _at_speed(frames: Frames, bins: Bins, framing: Framing) -> AtSpeed:
     own = np.full(energy.shape, 0.5 * shape.dof)
     powers = np.full(energy.shape, shape.independent_powers)
     noise = np.nan_to_num(noise_of_mean(spectrum, shape) / shape.mean_variance)
-    noise, own = helped_by_beside(noise, own, energy=energy, powers=powers, bins=bins.beside, worth=bins.worth)
+    noise, own = helped_by_beside(noise, own, energy, powers, bins=bins.beside, worth=bins.worth)
     louder = np.maximum(noise, steepest_noise_beside(energy, bins.beside))
     return AtSpeed(mean, noise * shape.mean_variance, energy, louder, powers, 2.0 * own)
 
