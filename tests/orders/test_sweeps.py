@@ -9,11 +9,11 @@ from scipy.signal import fftconvolve, lfilter
 
 from crankorder.errors import InputError
 from crankorder.fft.decimation import band_limited
-from crankorder.orders.filter_bandwidth import impulse_response, taken_in_truth
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.swept_tracks import followed_tracks, swept_tracks
 from crankorder.orders.track_rows import TrackReader, order_tracks
+from crankorder.orders.vold_kalman import impulse_response, taken_in_truth
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle

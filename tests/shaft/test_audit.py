@@ -122,50 +122,6 @@ def test_motion_that_the_pulses_or_the_knots_do_not_show_costs_what_is_expected(
     assert_within_factor(expected["sideband"], found["sideband"], 1.25 if between_pulses else 2.0)
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize(
-    ("pulses_per_rev", "speed_rpm"),
-    # s = 8 - 1/3900, 10 - 1/1250, 4 - 1/3100; 60 pulses: 50 - 1/1000, 50 - 1/67; 6 pulses: 500 - 1/100
-    [(360, 1041.7), (360, 833.4), (360, 2083.5), (60, 1000.02), (60, 1000.3), (6, 1000.02)],
-)
-def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft, pulses_per_rev, speed_rpm):
-    true = known_shaft(speed_rpm, irregularity={}, duration_s=12.0)
-    dataset = decoded(
-        rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ
-    )
-    found = achieved(dataset, true, pulses_per_rev)
-    audit = audit_of(dataset)
-    expected = expected_of(audit.causes[0], audit.causes[2])
-    assert_within_factor(expected["loss"], found["loss"], 2.0)
-    assert_within_factor(expected["sideband"], found["sideband"], 2.0)
-    place = abs(60 * RATE_HZ / speed_rpm / pulses_per_rev - round(60 * RATE_HZ / speed_rpm / pulses_per_rev))
-    assert abs(audit.causes[2].tone_order[0] - place * pulses_per_rev) < 1 / REVS  # one bin of a frame
-    assert [flag for flag, _, _ in audit.remarks] == ["reference_in_step"]
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("pulses_per_rev", [60, 6, 1])
-def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft, pulses_per_rev):
-    dataset = decoded(
-        rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(pulses_per_rev) + 3e-6), pulses_per_rev,
-        noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ,
-    )  # fmt: skip
-    step = audit_of(dataset).causes[2]
-    assert step.tone_rev.size == 0
-    # an edge may be off by half a sample, which is 0.06° at 1000 rpm
-    assert 0.5 / 3000 < step.still_rev < 1.5 * 0.5 / 3000
-
-
-@pytest.mark.slow
-def test_out_of_step_or_shaken_by_the_motion_rounding_is_only_noise(known_shaft):
-    for speed_rpm, irregularity in ((1001.3, {}), (1113.7, {}), (1113.7, {1.0: 0.03}), (833.4, {1.0: 0.03})):
-        true = known_shaft(speed_rpm, irregularity=irregularity)
-        dataset = decoded(rounded(true.pulse_time_s(360)), 360, noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ)
-        audit = audit_of(dataset)
-        assert not audit.causes[2].tone_rev.size, speed_rpm
-        assert np.all(achieved(dataset, true, 360)["loss"] < expected_of(*audit.causes)["loss"])
-
-
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("pulses_per_rev", [60, 360])
 def test_motion_that_the_pulses_show_is_measured(known_shaft, pulses_per_rev):

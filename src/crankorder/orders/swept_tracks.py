@@ -14,7 +14,10 @@ from crankorder.errors import RequestError
 from crankorder.fft.decimation import band_limited, sound_samples
 from crankorder.fft.transforms import counted
 from crankorder.orders.averages import median_of_known
-from crankorder.orders.filter_bandwidth import (
+from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
+from crankorder.orders.intervals import Z95, amplitude_interval, phase_interval_deg
+from crankorder.orders.true_angle import AngleErrors, errors_along
+from crankorder.orders.vold_kalman import (
     FLANK,
     HALF_POWER,
     LEVEL_DOF,
@@ -24,11 +27,8 @@ from crankorder.orders.filter_bandwidth import (
     impulse_response,
     student_factor,
     taken_in_truth,
+    vold_kalman,
 )
-from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
-from crankorder.orders.intervals import Z95, amplitude_interval, phase_interval_deg
-from crankorder.orders.true_angle import AngleErrors, errors_along
-from crankorder.orders.vold_kalman import vold_kalman
 from crankorder.quantities import (
     Bools,
     Complexes,
