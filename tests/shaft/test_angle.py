@@ -322,8 +322,8 @@ def plain_fired(trace, arm, fire):
     return np.array(fired)
 
 
-def test_bits_in_words_find_the_edges_that_one_sample_after_the_other_finds():
-    for size in [2, 63, 64, 65, 127, 128, 1000]:
+def test_a_square_wave_fires_once_for_each_passage_of_its_hysteresis():
+    for size in [2, 65, 1000]:
         for edge in ["rising", "falling"]:
             rng = np.random.default_rng(size)
             sign = 1.0 if edge == "rising" else -1.0

@@ -395,7 +395,9 @@ class _Seen:
         """Ranges of frequency [Hz] in which a line may be: about multiples of ``mains_hz``, and about high peaks."""
         step = self.rate_hz / self.spectrum.shape[1]
         top = min(0.45 * self.rate_hz, self.band_hz) - STEADY.looked_hz
-        power = np.sum(np.abs(_hann(self.spectrum[:, : int(top / step) if top > 0.0 else 0])) ** 2, axis=0)
+        low = self.spectrum[:, : int(top / step) if top > 0.0 else 0]
+        windowed = low - 0.5 * (np.roll(low, 1, axis=-1) + np.roll(low, -1, axis=-1))  # as a Hann window had made it
+        power = np.sum(np.abs(windowed) ** 2, axis=0)
         whole = power[: len(power) // STEADY.peak_bins * STEADY.peak_bins].reshape(-1, STEADY.peak_bins)
         level = np.repeat(np.median(whole, axis=1), STEADY.peak_bins)
         ratio = power[: len(level)] / np.maximum(level, np.finfo(float).tiny)
@@ -438,7 +440,10 @@ class _Seen:
         best = int(np.argmax(np.where(allowed, total, -1.0)))
         if 2.0 * total[best] < chdtri(2.0 * len(seen), STEADY.chance / max(1, int(allowed.sum()))):
             return None
-        off = float(offset[best] + _finer(total, best) * (offset[1] - offset[0]))
+        before, here, after = (float(total[(best + way) % size]) for way in (-1, 0, 1))
+        bend = before - 2.0 * here + after
+        finer = 0.5 * (before - after) / bend if bend < 0.0 else 0.0  # top of the parabola through the three
+        off = float(offset[best] + finer * (offset[1] - offset[0]))
         amplitude = _steady_amplitude(
             narrow * np.exp(-2j * np.pi * off * np.arange(narrow.shape[1]) * dt), window, clear
         )
@@ -451,18 +456,6 @@ class _Seen:
         bins = (centre + np.fft.fftfreq(self.points, 1.0 / self.points).astype(int)) % self.spectrum.shape[1]
         back = np.exp(2j * np.pi * (centre * step - middle_hz) * np.arange(self.points) * self.every / self.rate_hz)
         return np.asarray(2.0 / self.every * ifft(self.spectrum[:, bins], axis=1) * back)
-
-
-def _hann(spectrum: Complexes) -> Complexes:
-    """``spectrum`` (…, bins) as a Hann window would have made it."""
-    return np.asarray(spectrum - 0.5 * (np.roll(spectrum, 1, axis=-1) + np.roll(spectrum, -1, axis=-1)))
-
-
-def _finer(power: Floats, best: int) -> float:
-    """How far the top of ``power`` lies from its place ``best``, by the parabola of the three about it."""
-    before, here, after = (float(power[(best + way) % len(power)]) for way in (-1, 0, 1))
-    bend = before - 2.0 * here + after
-    return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
 
 
 def _clear(middle_hz: float, width_hz: float, speed_rpm: Floats, rates: Floats, orders: Floats) -> Floats:

@@ -298,11 +298,19 @@ def _largest(spectrum: Complexes) -> Floats:
 
 @dataclass(frozen=True)
 class Framing:
-    """Length [rev] and window of the frames; speeds that differ by over ``swept_rpm`` may change amplitudes."""
+    """How frames lie and what their noise is told from.
+
+    ``revs`` their length, ``window``; speeds that differ by over ``swept_rpm`` may change amplitudes. ``with_phase``
+    (orders,) says which orders have phases that recordings share, ``beside`` (orders, several) the bins whose noise is
+    that of each, ``worth`` (orders,) so many independent ones; none where orders are no neighbours.
+    """
 
     revs: float
     window: str
     swept_rpm: float
+    with_phase: Bools
+    beside: Ints
+    worth: Floats
 
     def contrasts_of(self, frames: Frames) -> Contrasts:
         """Contrasts of ``frames`` by their overlap, along their speeds too where these are swept."""
@@ -310,18 +318,6 @@ class Framing:
         correlation = neighbour_correlation(begin, owner, revs_per_frame=self.revs, window=self.window)
         swept = float(np.ptp(frames.speed_rpm)) > self.swept_rpm  # False where unknown
         return contrasts(correlation, frames.speed_rpm if swept else None)
-
-
-@dataclass(frozen=True)
-class Bins:
-    """``beside`` (orders, several) the bins whose noise is that of each, ``worth`` (orders,) so many independent ones.
-
-    ``with_phase`` (orders,) says which orders have phases that recordings share.
-    """
-
-    beside: Ints
-    worth: Floats
-    with_phase: Bools
 
 
 @dataclass(frozen=True)
@@ -345,14 +341,13 @@ class AtSpeed:
 class LikeSpeedFrames:
     """Frames of a test and the rows of like speed that they are averaged in.
 
-    ``used`` the OrderFrames taken, ``remarks`` on what was left out, ``every`` their frames, ``bins`` what noise is
-    told from, ``framing`` that of the frames, ``groups`` the indices of the frames of each row, slowest first.
+    ``used`` the OrderFrames taken, ``remarks`` on what was left out, ``every`` their frames, ``framing`` theirs,
+    ``groups`` the indices of the frames of each row, slowest first.
     """
 
     used: list[xr.Dataset]
     remarks: list[QualityFlag]
     every: AllFrames
-    bins: Bins
     framing: Framing
     groups: list[Indices]
 
@@ -364,9 +359,9 @@ class LikeSpeedFrames:
     def at_columns(self, columns: Ints) -> LikeSpeedFrames:
         """The frames at the orders numbered ``columns`` (rising) alone, for phases that all recordings share."""
         every = replace(self.every, spectra=[spectrum[:, :, columns] for spectrum in self.every.spectra])
-        beside = np.minimum(np.searchsorted(columns, self.bins.beside[columns]), len(columns) - 1)
-        bins = Bins(beside, self.bins.worth[columns], np.ones(len(columns), dtype=np.bool_))
-        return replace(self, every=every, bins=bins)
+        beside = np.minimum(np.searchsorted(columns, self.framing.beside[columns]), len(columns) - 1)
+        shared, worth = np.ones(len(columns), dtype=np.bool_), self.framing.worth[columns]
+        return replace(self, every=every, framing=replace(self.framing, with_phase=shared, beside=beside, worth=worth))
 
 
 def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
@@ -377,11 +372,14 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
     """
     used, remarks = common_frames(frames)
     every, attrs, order = all_frames(used), used[0].attrs, used[0]["order"].values
-    beside, worth = beside_bins(order, line_step=1.0 / int(attrs["revs_per_cycle"]), count=NEAREST_BINS)
-    bins = Bins(beside, worth, phases_compare(used, order))
-    framing = Framing(float(attrs["revs_per_frame"]), str(attrs["window"]), SWEPT_SHARE * speed_bin_rpm)
+    beside = beside_bins(order, line_step=1.0 / int(attrs["revs_per_cycle"]), count=NEAREST_BINS)
+    revs, swept_rpm = float(attrs["revs_per_frame"]), SWEPT_SHARE * speed_bin_rpm
+    framing = Framing(revs, str(attrs["window"]), swept_rpm, phases_compare(used, order), *beside)
     speed, owner = every.speed_rpm, every.owner
-    groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner), speed, owner)
+    groups = speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner)
+    if groups and np.isnan(speed[groups[-1][0]]):
+        unknown = groups.pop()
+        groups += [unknown[owner[unknown] == name] for name in np.unique(owner[unknown])]
     held = held_speeds(speed, owner, width_rpm=speed_bin_rpm)
     place = np.full(len(speed), -1)
     for number, part in enumerate(held):
@@ -392,38 +390,26 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
         if len(steps) < 2 or steps[0] < 0:
             rows.append(group)
             continue
-        shown = [(held[k], _at_speed(every.of(held[k]), bins, framing)) for k in steps.tolist()]
-        rows += _agreeing(shown, bins)
-    return LikeSpeedFrames(used, remarks, every, bins, framing, rows)
+        joined: list[list[tuple[Indices, AtSpeed]]] = []
+        for k in steps.tolist():
+            at_speed = _at_speed(every.of(held[k]), framing)
+            # it joins the next slower row if all speeds of that row agree with it
+            if not joined or not all(agree(other, at_speed, with_phase=framing.with_phase) for _, other in joined[-1]):
+                joined.append([])
+            joined[-1].append((held[k], at_speed))
+        rows += [np.sort(np.concatenate([part for part, _ in row])) for row in joined]
+    return LikeSpeedFrames(used, remarks, every, framing, rows)
 
 
-def _unknown_apart(groups: list[Indices], speed: Floats, owner: Ints) -> list[Indices]:
-    """``groups`` of frames with those of unknown speed, which come last, by recording."""
-    if not groups or not np.isnan(speed[groups[-1][0]]):
-        return groups
-    unknown = groups[-1]
-    return [*groups[:-1], *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
-
-
-def _agreeing(shown: list[tuple[Indices, AtSpeed]], bins: Bins) -> list[Indices]:
-    """The speeds ``shown``, each joined to the next slower row if all speeds of that row agree with it."""
-    joined = [[shown[0]]]
-    for part, at_speed in shown[1:]:
-        if not all(agree(other, at_speed, with_phase=bins.with_phase) for _, other in joined[-1]):
-            joined.append([])
-        joined[-1].append((part, at_speed))
-    return [np.sort(np.concatenate([part for part, _ in row])) for row in joined]
-
-
-def _at_speed(frames: Frames, bins: Bins, framing: Framing) -> AtSpeed:
+def _at_speed(frames: Frames, framing: Framing) -> AtSpeed:
     """What ``frames`` held at one speed show."""
     shape, spectrum = replace(framing, swept_rpm=np.inf).contrasts_of(frames), frames.spectrum
     mean, energy = spectrum.mean(axis=1), np.square(np.abs(spectrum)).mean(axis=1)
     own = np.full(energy.shape, 0.5 * shape.dof)
     powers = np.full(energy.shape, shape.independent_powers)
     noise = np.nan_to_num(noise_of_mean(spectrum, shape) / shape.mean_variance)
-    noise, own = helped_by_beside(noise, own, energy, powers, bins=bins.beside, worth=bins.worth)
-    louder = np.maximum(noise, steepest_noise_beside(energy, bins.beside))
+    noise, own = helped_by_beside(noise, own, energy, powers, bins=framing.beside, worth=framing.worth)
+    louder = np.maximum(noise, steepest_noise_beside(energy, framing.beside))
     return AtSpeed(mean, noise * shape.mean_variance, energy, louder, powers, 2.0 * own)
 
 

@@ -28,10 +28,9 @@ from crankorder.orders.intervals import (
     phase_reference_of,
     wider_of,
 )
-from crankorder.orders.like_speed import Bins, Frames, Framing, LikeSpeedFrames, like_speed_frames
+from crankorder.orders.like_speed import Frames, Framing, LikeSpeedFrames, like_speed_frames
 from crankorder.orders.true_angle import errors_of_rows, given_to
 from crankorder.quantities import (
-    Bools,
     Complexes,
     Floats,
     Ints,
@@ -203,7 +202,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
 def averaged(grouped: LikeSpeedFrames, turned: Callable[[Frames], Frames] | None = None) -> Average:
     """Average (channel, speed, order) of the rows of ``grouped``, of frames ``turned`` first where that is given."""
     rows = map(grouped.every.of, grouped.groups)
-    parts = (average_of(frames, grouped.framing, grouped.bins) for frames in (map(turned, rows) if turned else rows))
+    parts = (average_of(frames, grouped.framing) for frames in (map(turned, rows) if turned else rows))
     columns = list(zip(*([getattr(part, field.name) for field in fields(Average)] for part in parts), strict=True))
     # each is let go as it is joined: twice the averages of a long sweep fill the memory
     return Average(*(np.stack(columns.pop(0), axis=1) for _ in fields(Average)))
@@ -244,7 +243,7 @@ def intervals_of(whole: Average, grouped: LikeSpeedFrames, *, by_crank: bool = T
     few = np.flatnonzero((own < FEW_CONTRASTS).any(axis=(0, 2)))
     if len(few):
         own, at_few = own.copy(), (values[:, few] for values in (noise, own, whole.energy, whole.powers))
-        noise[:, few], own[:, few] = helped_by_beside(*at_few, bins=grouped.bins.beside, worth=grouped.bins.worth)
+        noise[:, few], own[:, few] = helped_by_beside(*at_few, bins=grouped.framing.beside, worth=grouped.framing.worth)
     dof = np.floor(2.0 * own + 0.5)
     coherent = np.abs(whole.coherent)
     power = np.where(own > 0.0, noise * whole.left, np.nan)
@@ -270,7 +269,7 @@ def intervals_of(whole: Average, grouped: LikeSpeedFrames, *, by_crank: bool = T
     }
 
 
-def average_of(frames: Frames, framing: Framing, bins: Bins) -> Average:
+def average_of(frames: Frames, framing: Framing) -> Average:
     """Average of a group of ``frames``; those that are NaN, by channel and order, take no part.
 
     Where some are, columns (one channel, one order) with the same frames are averaged together; of very many frames the
@@ -278,11 +277,11 @@ def average_of(frames: Frames, framing: Framing, bins: Bins) -> Average:
     """
     if len(frames.spectrum) > 1 and frames.spectrum.size > MOST_VALUES:
         each = (replace(frames, spectrum=channel[None]) for channel in frames.spectrum)
-        of_channels = [average_of(channel, framing, bins) for channel in each]
+        of_channels = [average_of(channel, framing) for channel in each]
         return Average(*(np.concatenate([getattr(of, field.name) for of in of_channels]) for field in fields(Average)))
     seen = np.isfinite(frames.spectrum.real)
     if seen.all():
-        return _average_whole(frames, bins.with_phase, framing, bins.beside)
+        return _average_whole(frames, framing)
     n_channels, _, n_orders = frames.spectrum.shape
     columns = np.moveaxis(frames.spectrum, 1, 2).reshape(n_channels * n_orders, -1)
     patterns, which = np.unique(np.moveaxis(seen, 1, 2).reshape(n_channels * n_orders, -1), axis=0, return_inverse=True)
@@ -292,7 +291,8 @@ def average_of(frames: Frames, framing: Framing, bins: Bins) -> Average:
         if not pattern.any():
             continue
         part = Frames(np.ascontiguousarray(columns[at].T)[None], frames.owner, frames.begin_rev, frames.speed_rpm)
-        mean = _average_whole(part.of(pattern), bins.with_phase[at % n_orders], framing)
+        alone = replace(framing, with_phase=framing.with_phase[at % n_orders], beside=framing.beside[:0])
+        mean = _average_whole(part.of(pattern), alone)
         for name, column in columns_of.items():
             column[at] = getattr(mean, name)[0]
     filled = {name: column.reshape(n_channels, n_orders) for name, column in columns_of.items()}
@@ -301,11 +301,8 @@ def average_of(frames: Frames, framing: Framing, bins: Bins) -> Average:
     return Average(**filled | none | {"apart": np.nan_to_num(filled["apart"], nan=1.0)})
 
 
-def _average_whole(frames: Frames, comparable: Bools, framing: Framing, beside: Ints | None = None) -> Average:
-    """Average of a group of ``frames`` that all hold numbers; ``comparable`` (orders,) as of :func:`phases_compare`.
-
-    ``beside`` (orders, several) are the bins beside each, None where the columns are no neighbours.
-    """
+def _average_whole(frames: Frames, framing: Framing) -> Average:
+    """Average of a group of ``frames`` that all hold numbers."""
     spectrum, shape = frames.spectrum, framing.contrasts_of(frames)
     n_frames, columns = spectrum.shape[1], (len(spectrum), spectrum.shape[2])
     power = np.square(spectrum.real) + np.square(spectrum.imag)
@@ -316,7 +313,7 @@ def _average_whole(frames: Frames, comparable: Bools, framing: Framing, beside: 
     # noise of different recordings is surely independent, whatever they differ by
     kept = np.maximum(kept, float(len(np.unique(frames.owner))))
     left = np.full(columns, shape.mean_variance)
-    level = None if beside is None else steepest_noise_beside(energy, beside)
+    level = steepest_noise_beside(energy, framing.beside) if framing.beside.size else None
     noise = noise_of_mean(spectrum, shape)
     held = held_values(spectrum, frames.owner, mean=mean, noise=noise, shape=shape, beside=level)
     average = Average(
@@ -333,13 +330,14 @@ def _average_whole(frames: Frames, comparable: Bools, framing: Framing, beside: 
         phases=np.maximum(1.0, np.minimum(kept, 1.0 / shape.mean_variance)),
         count=count.astype(np.float64),
     )
-    if comparable.all() or (frames.owner == frames.owner[0]).all():
+    if framing.with_phase.all() or (frames.owner == frames.owner[0]).all():
         return average
-    return _without_common_phase(frames, average, comparable, framing)
+    return _without_common_phase(frames, average, framing)
 
 
-def _without_common_phase(frames: Frames, average: Average, comparable: Bools, framing: Framing) -> Average:
+def _without_common_phase(frames: Frames, average: Average, framing: Framing) -> Average:
     """``average``, but by coherent power at the orders whose phases in different recordings say nothing."""
+    comparable = framing.with_phase
     names, counts = np.unique(frames.owner, return_counts=True)
     weights = counts / counts.sum()
     power, noise, own, left, bias = (np.zeros(average.energy.shape) for _ in range(5))

@@ -177,7 +177,7 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
     that keeps its place to the crank has one phase there. Each frame's own phase follows its noise as well, and
     amplitudes from it are those of line and noise together.
     """
-    kept, at = np.unique(np.concatenate([columns, grouped.bins.beside[columns].ravel()]), return_inverse=True)
+    kept, at = np.unique(np.concatenate([columns, grouped.framing.beside[columns].ravel()]), return_inverse=True)
     part, at = grouped.at_columns(kept), at[: len(columns)]
 
     def turned(frames: Frames) -> Frames:
@@ -185,7 +185,7 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
         for number in np.unique(frames.owner) if on_bin else ():
             own = frames.owner == number
             alone = replace(frames.of(own), spectrum=line[None, own])
-            mean = average_of(alone, part.framing, part.bins)
+            mean = average_of(alone, part.framing)
             seen = is_seen(np.abs(mean.coherent), mean.noise * mean.left, 2.0 * mean.own)
             line[own] = np.where(np.isfinite(line[own]) & seen, mean.coherent, line[own])
         return replace(frames, spectrum=frames.spectrum * _direction(line).conj())

@@ -259,10 +259,8 @@ def swept_tracks(
             except RequestError as error:
                 notes.append(f"{span[0]:.3g} to {span[1]:.3g} s: {error}")
     tracks = _dataset(band, shaft, named, course, parts)
-    with_flags(tracks, [*flags_of(shaft), *_flags(tracks, notes)])
-    if lines:
-        with_flags(tracks, [*flags_of(tracks), steady_flag(str(band.attrs["recording"]), lines)])
-    return tracks
+    taken_out = [steady_flag(str(band.attrs["recording"]), lines)] if lines else []
+    return with_flags(tracks, [*flags_of(shaft), *_flags(tracks, notes), *taken_out])
 
 
 def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:

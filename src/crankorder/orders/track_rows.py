@@ -297,7 +297,10 @@ class TrackReader:
         held: list[HeldSizes] = []
         total, count = np.zeros(shape), np.zeros(shape)
         for item, rows in zip(self._used, self._row_of_frames, strict=True):
-            squared = np.abs(self._phasors(item, used, solve)) ** 2
+            # bins turned to the middles of the frames
+            revs = float(item.attrs["revs_per_frame"])
+            turn = np.exp(2j * np.pi * (np.outer(item["crank_angle"].values + 0.5 * revs, used) / revs % 1.0))
+            squared = np.abs((item["spectrum"].values[:, :, used] * turn) @ solve / self._unit) ** 2
             seen = np.isfinite(squared)
             for row in [] if item.attrs.get("swept", 0) else np.unique(rows).tolist():
                 own = squared[:, (rows == row) & seen.all(axis=0)]
@@ -323,13 +326,6 @@ class TrackReader:
         weighted = np.linalg.solve(noise, lobes)
         covariance = np.linalg.inv(lobes.T @ weighted)
         return used, (covariance @ weighted.T)[0], float(covariance[0, 0])
-
-    def _phasors(self, item: xr.Dataset, used: Ints, solve: Floats) -> Complexes:
-        """Bins ``used`` of the frames of ``item``, turned to their middles, weighted by ``solve``."""
-        revs = float(item.attrs["revs_per_frame"])
-        centre = item["crank_angle"].values + 0.5 * revs
-        values = item["spectrum"].values[:, :, used] * np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
-        return np.asarray((values @ solve) / self._unit)
 
 
 def _place_in(item: xr.Dataset, order: float) -> int:

@@ -29,13 +29,11 @@ from crankorder.shaft.speeds import swing_remarks
 from crankorder.shaft.tooth_errors import stated_teeth, tooth_errors, tooth_remark, without_tooth_errors
 from crankorder.shaft.uneven_wheel import Wheel
 from crankorder.shaft.wheel import (
-    MOST_NOISE_TEETH,
     NumberedTeeth,
     number_teeth,
     stated_wheel,
     times_of,
     undersampled,
-    uneven_noise_s,
     wrapped,
 )
 
@@ -240,8 +238,6 @@ def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part
         teeth = without_tooth_errors(teeth, wrong)
     teeth_per_rev = teeth.teeth_per_rev * ratio
     noise = stated or None
-    if noise is None and np.ptp(np.diff(teeth.tooth[:MOST_NOISE_TEETH])) > 0:
-        noise = uneven_noise_s(teeth.time_s, teeth.tooth)
     knots = angle_knots(
         teeth.time_s, teeth.tooth, teeth_per_rev=teeth_per_rev, noise_s=noise, settings=settings, smooth_times=smooth
     )
