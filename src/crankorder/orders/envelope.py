@@ -35,16 +35,7 @@ from crankorder.orders.envelope_combs import (
     over_skirts,
     served,
 )
-from crankorder.quantities import (
-    Floats,
-    Ints,
-    Variables,
-    channel_coords,
-    described,
-    flags_of,
-    remark,
-    with_flags,
-)
+from crankorder.quantities import Floats, Ints, Variables, channel_coords, described, flags_of, remark, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, time_at
 from crankorder.shaft.speeds import speed_groups

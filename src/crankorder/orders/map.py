@@ -30,16 +30,7 @@ from crankorder.orders.intervals import (
 )
 from crankorder.orders.like_speed import Frames, Framing, LikeSpeedFrames, like_speed_frames
 from crankorder.orders.true_angle import errors_of_rows, given_to
-from crankorder.quantities import (
-    Complexes,
-    Floats,
-    Ints,
-    Variables,
-    channel_coords,
-    described,
-    flags_of,
-    with_flags,
-)
+from crankorder.quantities import Complexes, Floats, Ints, Variables, channel_coords, described, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
 BESIDE_WORTH = 2.0
@@ -270,7 +261,7 @@ def intervals_of(whole: Average, grouped: LikeSpeedFrames, *, by_crank: bool = T
 
 
 def average_of(frames: Frames, framing: Framing) -> Average:
-    """Average of a group of ``frames``; those that are NaN, by channel and order, take no part.
+    """Average of a group of ``frames`` that lie as ``framing`` says; what is NaN, by channel and order, is left out.
 
     Where some are, columns (one channel, one order) with the same frames are averaged together; of very many frames the
     channels are averaged one by one.

@@ -15,15 +15,7 @@ from crankorder.orders.intervals import is_seen, phase_reference_of, phases_comp
 from crankorder.orders.like_speed import Frames, LikeSpeedFrames, like_speed_frames
 from crankorder.orders.map import Average, average_of, averaged, intervals_of
 from crankorder.orders.true_angle import UNKNOWN_DEG
-from crankorder.quantities import (
-    Complexes,
-    Floats,
-    Ints,
-    channel_coords,
-    described,
-    flags_of,
-    with_flags,
-)
+from crankorder.quantities import Floats, Ints, channel_coords, described, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
 LEAST_FRAMES = 2.0
@@ -188,7 +180,9 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
             mean = average_of(alone, part.framing)
             seen = is_seen(np.abs(mean.coherent), mean.noise * mean.left, 2.0 * mean.own)
             line[own] = np.where(np.isfinite(line[own]) & seen, mean.coherent, line[own])
-        return replace(frames, spectrum=frames.spectrum * _direction(line).conj())
+        size = np.abs(line)
+        unit = np.divide(line, size, out=np.ones_like(line), where=size != 0.0)  # NaN stays
+        return replace(frames, spectrum=frames.spectrum * unit.conj())
 
     def from_origin(frames: Frames) -> Frames:
         """What turns a channel and the origin alike turns no phase between them."""
@@ -211,12 +205,6 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
     return _estimates(whole, values | {"phase_ci95": half}, part.every.unit, coherence)[..., at]
 
 
-def _direction(values: Complexes) -> Complexes:
-    """``values`` of length 1, those that are 0 to the right."""
-    length = np.abs(values)
-    return np.asarray(np.where(length > 0.0, values / np.where(length > 0.0, length, 1.0), 1.0 + 0j * length))
-
-
 def _estimates(whole: Average, intervals: dict[str, Floats], unit: Floats, coherence: Floats) -> Floats:
     """ESTIMATES (…, channels, speeds, orders) of the averages ``whole`` with their ``intervals``."""
     ends = intervals["coherent_amplitude_low"], intervals["coherent_amplitude_high"]
@@ -231,7 +219,7 @@ def _coherence(frames: Frames, origin: int) -> Floats:
     own, other = np.where(both, spectrum, 0.0), np.where(both, spectrum[origin], 0.0)
     power = np.square(np.abs(own)).sum(axis=1) * np.square(np.abs(other)).sum(axis=1)
     cross = np.square(np.abs((own * other.conj()).sum(axis=1)))
-    return np.divide(cross, power, out=np.full(power.shape, np.nan), where=power > 0.0)
+    return np.asarray(np.divide(cross, power, out=np.full(power.shape, np.nan), where=power > 0.0))
 
 
 def _dataset(grouped: LikeSpeedFrames, orders: Floats, estimates: Floats, phase_from: list[str]) -> xr.Dataset:
@@ -241,8 +229,8 @@ def _dataset(grouped: LikeSpeedFrames, orders: Floats, estimates: Floats, phase_
     turn = np.stack([phase - half, phase + half], axis=-1)
     dims = ("channel", "speed", "order")
     count = np.array([len(group) for group in grouped.groups], dtype=np.int64)
-    shapes = [grouped.framing.contrasts_of(grouped.every.of(group)) for group in grouped.groups]
-    independent = np.array([shape.independent_powers for shape in shapes])
+    contrasts = [grouped.framing.contrasts_of(grouped.every.of(group)) for group in grouped.groups]
+    independent = np.array([each.independent_powers for each in contrasts])
     level = coherence_level(independent)
     variables = (
         ("amplitude", dims, amplitude, "see unit", "peak amplitude of the mean phasor"),

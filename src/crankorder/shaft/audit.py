@@ -209,11 +209,7 @@ class ReferenceAudit:
 
 
 def reference_audit(
-    shaft: xr.Dataset,
-    *,
-    orders: Sequence[float] | Floats,
-    revs_per_frame: float,
-    settings: ShaftSettings,
+    shaft: xr.Dataset, *, orders: Sequence[float] | Floats, revs_per_frame: float, settings: ShaftSettings
 ) -> ReferenceAudit:
     """What the reference of a crank angle carries, with remarks where it must be expected to bias one of ``orders``.
 

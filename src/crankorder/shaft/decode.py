@@ -28,14 +28,7 @@ from crankorder.shaft.repair import FEW_PULSES, running_parts
 from crankorder.shaft.speeds import swing_remarks
 from crankorder.shaft.tooth_errors import stated_teeth, tooth_errors, tooth_remark, without_tooth_errors
 from crankorder.shaft.uneven_wheel import Wheel
-from crankorder.shaft.wheel import (
-    NumberedTeeth,
-    number_teeth,
-    stated_wheel,
-    times_of,
-    undersampled,
-    wrapped,
-)
+from crankorder.shaft.wheel import NumberedTeeth, number_teeth, stated_wheel, times_of, undersampled, wrapped
 
 # Marks are the same tooth of the camshaft within this much of a crank revolution: variable timing moves it by 0.14.
 SAME_MARK_REV = 0.1

@@ -256,13 +256,7 @@ PROMINENCE = (1.0, 2.0)
 
 
 def family_evidence(
-    signals: Floats,
-    rate_hz: float,
-    knots: AngleKnots,
-    *,
-    ratio: Floats,
-    order: Floats,
-    weight: Floats,
+    signals: Floats, rate_hz: float, knots: AngleKnots, *, ratio: Floats, order: Floats, weight: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Log odds (ratios,) of the fundamentals at ``ratio`` times the speed of ``knots``, from the same order spectra.
 

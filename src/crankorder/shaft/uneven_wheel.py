@@ -19,13 +19,7 @@ import numpy as np
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.shaft.pattern import ToothPattern, grid_of, known_names, pattern_of
 from crankorder.shaft.pulses import Remark
-from crankorder.shaft.repair import (
-    REPAIR_COST,
-    STANDSTILL_RPM,
-    FollowedWheel,
-    followed_wheel,
-    running_parts,
-)
+from crankorder.shaft.repair import REPAIR_COST, STANDSTILL_RPM, FollowedWheel, followed_wheel, running_parts
 
 # Pulses that are looked at, where the train is fastest; most teeth that are looked for; fewest revolutions seen.
 BLOCK_PULSES, MOST_TEETH, FEWEST_REVS = 3000, 400, 3

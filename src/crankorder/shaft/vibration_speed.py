@@ -310,7 +310,7 @@ def _away_from_wanted(run: _Run, evidence: SpeedEvidence) -> Floats | None:
     if np.ptp(of_frame) == 0:
         return None
     wanted = np.log(np.interp(run.frame_s, run.knots.time_s, run.knots.speed_rpm) / 60.0 * run.ratio[of_frame])
-    return np.abs(np.log(evidence.speed_hz) - np.interp(evidence.time_s, run.frame_s, wanted)[:, None])
+    return np.asarray(np.abs(np.log(evidence.speed_hz) - np.interp(evidence.time_s, run.frame_s, wanted)[:, None]))
 
 
 def _angle_of(time_s: Floats, speed_hz: Floats, end_s: float) -> AngleKnots:
@@ -346,9 +346,7 @@ def _corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) 
 
     total = float(run.angle_rev[-1])
     centre = np.linspace(
-        0.5 * FRAME_REVS,
-        total - 0.5 * FRAME_REVS,
-        max(3, int((total - FRAME_REVS) * KNOTS_PER_FRAME / FRAME_REVS) + 1),
+        0.5 * FRAME_REVS, total - 0.5 * FRAME_REVS, max(3, int((total - FRAME_REVS) * KNOTS_PER_FRAME / FRAME_REVS) + 1)
     )
     turn, weight, snr = _turns(signals, rate_hz, run, centre, order)
     gain, hop = 2.0 * np.pi * order, float(centre[1] - centre[0])
