@@ -181,7 +181,8 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
             seen = is_seen(np.abs(mean.coherent), mean.noise * mean.left, 2.0 * mean.own)
             line[own] = np.where(np.isfinite(line[own]) & seen, mean.coherent, line[own])
         size = np.abs(line)
-        unit = np.divide(line, size, out=np.ones_like(line), where=size != 0.0)  # NaN stays
+        with np.errstate(invalid="ignore"):  # NaN stays
+            unit = np.divide(line, size, out=np.ones_like(line), where=size != 0.0)
         return replace(frames, spectrum=frames.spectrum * unit.conj())
 
     def from_origin(frames: Frames) -> Frames:
@@ -189,7 +190,8 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
         spectrum = turned(frames).spectrum
         mean = np.where(np.isnan(spectrum), 0.0, spectrum).sum(axis=1) / np.isfinite(spectrum).sum(axis=1).clip(1)
         wander = spectrum[origin] - mean[origin]
-        relative = np.divide(wander, mean[origin], out=np.zeros_like(wander), where=np.abs(mean[origin]) > 0.0)
+        with np.errstate(invalid="ignore"):
+            relative = np.divide(wander, mean[origin], out=np.zeros_like(wander), where=np.abs(mean[origin]) > 0.0)
         return replace(frames, spectrum=spectrum - mean[:, None] * relative)
 
     whole, between = averaged(part, turned), averaged(part, from_origin)
