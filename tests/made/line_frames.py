@@ -15,6 +15,7 @@ from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.frames import spectra_by_angle
 from crankorder.orders.joint_lines import HeldFrames, Place
 from crankorder.orders.map import order_map
+from crankorder.orders.method import FrameLayout
 from crankorder.settings import load_settings
 from made import recordings
 
@@ -29,7 +30,7 @@ def frames_of(
     values = np.stack(signals)
     count = (values.shape[1] // PER_REV - REVS) // HOP + 1
     begin = START_REV + HOP * np.arange(count, dtype=np.float64)
-    spectrum = spectra_by_angle(values, None, PER_REV, REVS, HOP, begin, 20 * REVS + 1)
+    spectrum = spectra_by_angle(values, None, PER_REV, FrameLayout(None, 0.5, 20.0, REVS, HOP, begin))
     flag = {"recording": "made", "flag": "no_index", "severity": "suspect", "detail": "no encoder pulses: made so"}
     quality = json.dumps([] if pulses else [flag])
     return recordings.frames_of(spectrum, speed_rpm=speed_rpm, revs=REVS, start_rev=START_REV, quality=quality)

@@ -9,7 +9,7 @@ import xarray as xr
 from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
 from crankorder.engine.forces import crankcase_forces, crankcase_moments
 from crankorder.identify.found import ModalFit, Mode
-from crankorder.orders.filter_bandwidth import NOISE_BANDWIDTH
+from crankorder.orders.vold_kalman import NOISE_BANDWIDTH
 from made.recordings import named
 
 AXES = ("X", "Z", "RY")

@@ -111,6 +111,10 @@ def test_frames_with_a_gap_take_no_part_in_their_channel():
     expected = shapes_of(spectrum[:, :7], overlap=0.0)
     np.testing.assert_allclose(found["amplitude_ci95"].values[1], expected["amplitude_ci95"].values[1], rtol=1e-9)
     np.testing.assert_allclose(found["amplitude"].values[0], shapes_of(spectrum)["amplitude"].values[0])
+    # and none in any channel where phases are from that one
+    found, expected = (shapes_of(frames, reference="B", overlap=0.0) for frames in (gap, spectrum[:, :7]))
+    for name in ("amplitude", "phase", "amplitude_ci95", "phase_ci95", "coherence"):
+        np.testing.assert_allclose(found[name].values, expected[name].values, rtol=1e-9, atol=1e-9)
 
 
 def test_where_there_is_no_line_the_interval_reaches_from_nothing_and_holds_it():

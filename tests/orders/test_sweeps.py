@@ -6,9 +6,9 @@ from scipy.signal import fftconvolve
 
 from crankorder.errors import InputError
 from crankorder.fft.decimation import band_limited
-from crankorder.orders.filter_bandwidth import impulse_response, taken_in_truth
 from crankorder.orders.frames import order_frames
 from crankorder.orders.swept_tracks import swept_tracks
+from crankorder.orders.vold_kalman import impulse_response, taken_in_truth
 from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
 from made.recordings import sampled

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
-from crankorder.orders.filter_bandwidth import NOISE_BANDWIDTH
-from crankorder.orders.vold_kalman import vold_kalman
+from crankorder.orders.vold_kalman import NOISE_BANDWIDTH, vold_kalman
 from made.recordings import envelopes
 
 RATE_HZ = 2000.0

@@ -117,43 +117,6 @@ def test_motion_that_the_pulses_or_the_knots_do_not_show_costs_what_is_expected(
     assert_within_factor(expected["sideband"], found["sideband"], 1.25 if between_pulses else 2.0)
 
 
-# samples per pulse: 8 - 1/3900, 50 - 1/67
-@pytest.mark.parametrize(("pulses_per_rev", "speed_rpm"), [(360, 1041.7), (60, 1000.3)])
-def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft, pulses_per_rev, speed_rpm):
-    true = known_shaft(speed_rpm, irregularity={}, duration_s=12.0)
-    dataset = decoded(
-        rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ
-    )
-    found = achieved(dataset, true, pulses_per_rev)
-    audit = audit_of(dataset)
-    expected = expected_of(audit.causes[0], audit.causes[2])
-    assert_within_factor(expected["loss"], found["loss"], 2.0)
-    assert_within_factor(expected["sideband"], found["sideband"], 2.0)
-    place = abs(60 * RATE_HZ / speed_rpm / pulses_per_rev - round(60 * RATE_HZ / speed_rpm / pulses_per_rev))
-    assert abs(audit.causes[2].tone_order[0] - place * pulses_per_rev) < 1 / REVS  # one bin of a frame
-    assert [flag for flag, _, _ in audit.remarks] == ["reference_in_step"]
-
-
-def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft):
-    dataset = decoded(
-        rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(60) + 3e-6), 60,
-        noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ,
-    )  # fmt: skip
-    step = audit_of(dataset).causes[2]
-    assert step.tone_rev.size == 0
-    # an edge may be off by half a sample, which is 0.06° at 1000 rpm
-    assert 0.5 / 3000 < step.still_rev < 1.5 * 0.5 / 3000
-
-
-def test_out_of_step_or_shaken_by_the_motion_rounding_is_only_noise(known_shaft):
-    for speed_rpm, irregularity in ((1113.7, {}), (833.4, {1.0: 0.03})):
-        true = known_shaft(speed_rpm, irregularity=irregularity)
-        dataset = decoded(rounded(true.pulse_time_s(360)), 360, noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ)
-        audit = audit_of(dataset)
-        assert not audit.causes[2].tone_rev.size, speed_rpm
-        assert np.all(achieved(dataset, true, 360)["loss"] < expected_of(*audit.causes)["loss"])
-
-
 def test_motion_that_the_pulses_show_is_measured(known_shaft):
     true = known_shaft(1213.7, irregularity={0.5: 0.004, 2.0: 0.01, 6.0: 0.005})
     dataset = decoded(rounded(true.pulse_time_s(60)), 60, noise_s=12**-0.5 / RATE_HZ)

@@ -12,7 +12,7 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pattern import known_names, pattern_of
-from crankorder.shaft.repair import running_part
+from crankorder.shaft.repair import running_parts
 from crankorder.shaft.speeds import speed_swing
 from crankorder.shaft.tooth_errors import same_wheel, stated_teeth, tooth_errors
 from crankorder.shaft.uneven_wheel import find_pattern, wheel_of
@@ -190,7 +190,7 @@ def test_a_start_from_standstill_and_a_stop_are_left_out_and_located():
     pulse_s, _ = pulses_of("60-2", start_rpm=60.0, end_rpm=1200.0)
     stopped = np.concatenate([pulse_s - pulse_s[0] + 5.0, [12.0, 12.06, 12.1]])
     train = np.concatenate([[0.0, 0.01], stopped])
-    part, flags = running_part(train, pulses_per_rev=58.0, gap=3.0)
+    (part, *_), flags = running_parts(train, pulses_per_rev=58.0, gap=3.0)
     assert (part.start, part.stop) == (2, 2 + pulse_s.size)
     told = {flag: detail for flag, _, detail in flags}
     assert "from 0.01 to 5 s" in told["standstill"]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -23,9 +22,6 @@ NUMBERS = MethodNumbers("3-orders-lines.toml", "held_sizes")
 LARGEST_SHARE = 6
 """Slow waves over the frames, of each sign, whose power is the noise: 24 degrees of freedom, near enough to the line
 that a resonance does not change over them."""
-
-CHANCE_MEMORY = 3.0
-"""Frames resemble each other by more than chance where the squared correlation passes this over their number."""
 
 FEW_CONTRASTS = 1.5
 """With fewer contrasts of the frames' own, as of one or two frames, the bins beside help out as if level."""
@@ -154,21 +150,18 @@ def noise_of_mean(spectrum: Complexes, shape: Contrasts) -> Floats:
     return np.asarray(power / len(shape.rows))
 
 
-def independent_by_memory(
-    scatter: Complexes, owner: Ints, count: Ints, *, chance: Literal["taken off", "passed"]
-) -> Floats:
+def independent_by_memory(scatter: Complexes, owner: Ints, count: Ints) -> Floats:
     """Independent complex spectra (channels, orders) that frames are worth, for their memory of one another.
 
     The scatter of a frame correlates with the next one's by their overlap and, where noise excites a resonance, by its
-    decay: (1 - r) / (1 + r) of all frames are independent for a first-order memory r.
+    decay: (1 - r) / (1 + r) of all frames are independent for a first-order memory r, from whose square the 1 / count
+    that chance adds is taken off.
 
     Parameters
     ----------
     scatter : (channels, frames, orders), frames less their mean; 0 where one takes no part
     owner : (frames,), the number of the recording of each: frames of different ones are no neighbours
     count : (channels, orders), frames that take part
-    chance : what becomes of the 1 / count that chance adds to r². "taken off": that much is taken off r². "passed": r²
-        counts whole where it passes three times that, else not at all. Both stay until a test of coverage has chosen
     """
     n = np.maximum(count, 1)
     first, second = scatter[:, :-1], scatter[:, 1:]
@@ -179,8 +172,7 @@ def independent_by_memory(
     parts = np.ascontiguousarray(scatter).view(np.float64)
     total = np.einsum("cko,cko->co", parts, parts).reshape(*product.shape, 2).sum(axis=-1)
     squared = (np.square(product.real) + np.square(product.imag)) / np.maximum(total**2, np.finfo(np.float64).tiny)
-    squared = squared - 1.0 / n if chance == "taken off" else np.where(squared > CHANCE_MEMORY / n, squared, 0.0)
-    memory = np.where(n < 3, 0.0, np.sqrt(np.clip(squared, 0.0, 1.0)))
+    memory = np.where(n < 3, 0.0, np.sqrt(np.clip(squared - 1.0 / n, 0.0, 1.0)))
     return np.asarray(count * (1.0 - memory) / (1.0 + memory))
 
 
@@ -290,18 +282,8 @@ def _noise_bins(energy: Floats, bins: Ints) -> tuple[Floats, Bools]:
     return beside, (beside <= NOISE_RATIO * middle) | ~np.isfinite(beside)
 
 
-def pooled(power: Floats, dof: Floats, other: Floats, other_dof: Floats, *, where: Bools) -> tuple[Floats, Floats]:
-    """Noise power and its degrees of freedom of two estimates together ``where`` one alone says too little.
-
-    ``power`` with ``dof`` and ``other`` with ``other_dof`` are (…, orders); elsewhere the first stays alone.
-    """
-    total = dof + other_dof
-    mean = (dof * np.nan_to_num(power) + other_dof * np.nan_to_num(other)) / np.maximum(total, 1e-9)
-    return np.where(where, mean, power), np.where(where, total, dof)
-
-
 def helped_by_beside(
-    noise: Floats, own: Floats, *, energy: Floats, powers: Floats, bins: Ints, worth: Floats
+    noise: Floats, own: Floats, energy: Floats, powers: Floats, *, bins: Ints, worth: Floats
 ) -> tuple[Floats, Floats]:
     """``noise`` power of a frame and its complex degrees of freedom; where ``own`` are few, with the bins beside.
 
@@ -318,7 +300,10 @@ def helped_by_beside(
     if not few.any():
         return noise, own
     beside = steepest_noise_beside(energy, bins)
-    return pooled(noise, own, beside, np.where(np.isfinite(beside), worth * powers, 0.0), where=few)
+    more = np.where(np.isfinite(beside), worth * powers, 0.0)
+    total = own + more
+    mean = (own * np.nan_to_num(noise) + more * np.nan_to_num(beside)) / np.maximum(total, 1e-9)
+    return np.where(few, mean, noise), np.where(few, total, own)
 
 
 @dataclass(frozen=True)

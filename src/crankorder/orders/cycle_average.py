@@ -98,7 +98,14 @@ def cycle_average(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSetting
     speed = np.array([cycles.speed_rpm[group].mean() for group in groups])
     excluded = np.stack([np.count_nonzero(~cycles.whole[:, group], axis=1) for group in groups], axis=1)
     fastest = np.array([cycles.speed_rpm[group].max() for group in groups])
-    made = _dataset(parts, speed, excluded, _carried(band, fastest, settings), band, cycles.points_per_rev)
+    # orders that the band carries at the fastest cycle of each group
+    if is_by_angle(band):
+        carried = np.full(len(fastest), 0.5 * float(band.attrs["samples_per_rev"]))
+    else:
+        rate = float(band.attrs["rate_hz"])
+        carried = min(float(band.attrs.get("band_hz", math.inf)), MOST_CONTENT * rate) * 60.0 / fastest
+    highest = np.minimum(settings.max_order, carried)
+    made = _dataset(parts, speed, excluded, highest, band, cycles.points_per_rev)
     made.attrs = {
         **{key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")},
         **{key: band.attrs[key] for key in ("recording", "history", "quality") if key in band.attrs},
@@ -227,15 +234,6 @@ def _excess_at_rest(scatter: Floats) -> float:
     turn = 2.0 * np.pi / count * np.outer(frequency, np.arange(count))
     low = float(sum(((wave @ scatter) ** 2).sum() for wave in (np.cos(turn), np.sin(turn)))) / len(frequency)
     return max(low * (count - 1) / (count * total), 1.0 / count)
-
-
-def _carried(band: xr.Dataset, fastest_rpm: Floats, settings: OrderSettings) -> Floats:
-    """Highest order (groups,) that ``band`` carries at the fastest cycle of each group, ``max_order`` at most."""
-    if is_by_angle(band):
-        return np.full(len(fastest_rpm), min(settings.max_order, 0.5 * float(band.attrs["samples_per_rev"])))
-    rate = float(band.attrs["rate_hz"])
-    carried_hz = min(float(band.attrs.get("band_hz", math.inf)), MOST_CONTENT * rate)
-    return np.minimum(settings.max_order, carried_hz * 60.0 / fastest_rpm)
 
 
 def _dataset(

@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.errors import InputError
 from crankorder.fft.transforms import FrameTransform
 from crankorder.fft.windows import hann
 from crankorder.orders.envelope_band import (
@@ -23,30 +22,20 @@ from crankorder.orders.envelope_band import (
     envelopes_of,
 )
 from crankorder.orders.envelope_combs import (
+    LOWEST_ORDER,
     WIDER_EVIDENCE,
     Combs,
     best_band,
     floor_worth,
-    free_orders,
+    free_of_others,
     joined_looks,
     line_floor,
     looked_at,
     looks_of,
-    off_mains,
     over_skirts,
     served,
 )
-from crankorder.quantities import (
-    Attribute,
-    Floats,
-    Ints,
-    Variables,
-    channel_coords,
-    described,
-    flags_of,
-    remark,
-    with_flags,
-)
+from crankorder.quantities import Floats, Ints, Variables, channel_coords, described, flags_of, remark, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, time_at
 from crankorder.shaft.speeds import speed_groups
@@ -92,7 +81,7 @@ class Grid(NamedTuple):
     """Frames of envelopes, ``revs`` long in ``steps`` to a revolution, where they lie in each piece, their transform.
 
     ``reach_hz`` is the highest frequency of the highest order; ``n_independent`` the independent power spectra that all
-    frames are worth.
+    frames are worth; ``rate_hz`` and ``mean_hz`` samples and turns a second, ``revs_per_cycle`` turns of a cycle.
     """
 
     revs: int
@@ -101,19 +90,14 @@ class Grid(NamedTuple):
     reach_hz: float
     transform: FrameTransform
     n_independent: float
+    rate_hz: float
+    mean_hz: float
+    revs_per_cycle: int
 
     @property
     def order(self) -> Floats:
         """Orders (orders,) of a spectrum."""
         return np.arange(self.transform.n_bins) * self.steps / self.transform.n_fft
-
-
-class Turn(NamedTuple):
-    """How a recording was sampled and how it turned: samples and turns a second, on average, turns of a cycle."""
-
-    rate_hz: float
-    mean_hz: float
-    revs_per_cycle: int
 
 
 class Spectra(NamedTuple):
@@ -158,16 +142,30 @@ def recording_envelope(
     """
     bands, pieces, reason = _bands_and_pieces(recording, shaft, settings)
     if reason:
-        return _empty(recording, shaft, settings, reason)
-    mean_hz = float(shaft["speed"].values.mean()) / 60.0
-    turn = Turn(float(recording.attrs["rate_hz"]), mean_hz, int(shaft.attrs["revs_per_cycle"]))
+        n = recording.sizes["channel"]
+        nothing = {name: np.zeros((n, 0, 0)) for name in SPECTRA} | {name: np.zeros((n, 0)) for name in _OF_CHANNEL}
+        made = _dataset(recording, shaft, settings, nothing, revs=0, speed_rpm=np.zeros(0), order=np.zeros(0))
+        return with_flags(made, [remark(str(recording.attrs["recording"]), "no_envelope_band", reason)])
     shown = _grid(recording, shaft, pieces, settings, settings.envelope_max_order)
     order = shown.order
     bins = looked_at(combs, step=float(order[1]), n_orders=len(order))
     farthest = min(SEARCH_REACH * order[bins[-1]], order[-1]) if len(bins) else order[-1]
     searched = _grid(recording, shaft, pieces, settings, float(farthest))
-    chosen = [_choose(row, bands, shown, searched, turn, combs, bins) for row in recording["signal"].values]
-    return _dataset(recording, shaft, settings, chosen, shown, pieces, bands, combs)
+    chosen = [_choose(row, bands, shown, searched, combs, bins) for row in recording["signal"].values]
+    seconds = [float(np.diff(time_at(np.array(piece), **knots_of(shaft)))[0]) for piece in pieces]
+    speed = np.array([60.0 * sum(last - first for first, last in pieces) / sum(seconds)])
+    values = {
+        "amplitude": np.array([[choice.power**0.25] for choice in chosen]),
+        "floor": np.array([[choice.floor**0.25] for choice in chosen]),
+        "level": np.sqrt([[choice.mean_square / 2.0] for choice in chosen]),
+        "band_low": np.array([[choice.band.low_hz] for choice in chosen]),
+        "band_high": np.array([[choice.band.high_hz] for choice in chosen]),
+        "n_independent": np.array([[shown.n_independent * choice.share] for choice in chosen]),
+    }
+    made = _dataset(recording, shaft, settings, values, revs=shown.revs, speed_rpm=speed, order=order)
+    if combs:
+        made = made.assign(looks_of(combs, bands, order=order, looks=np.stack([choice.looks for choice in chosen])))
+    return made.assign_attrs(bands_tried=len(bands), analysed_s=sum(seconds))
 
 
 def _grid(
@@ -195,7 +193,8 @@ def _grid(
         stretches.append(Stretch(edges, begin_rev * steps))
     reach_hz = highest * float(shaft["speed"].values.max()) / 60.0
     transform = FrameTransform(hann(revs * steps), n_fft=n_fft, n_bins=math.floor(highest * n_fft / steps) + 1)
-    return Grid(revs, steps, stretches, reach_hz, transform, n_independent)
+    mean_hz = float(shaft["speed"].values.mean()) / 60.0
+    return Grid(revs, steps, stretches, reach_hz, transform, n_independent, rate, mean_hz, cycle)
 
 
 def _bands_and_pieces(
@@ -241,7 +240,7 @@ def _pieces(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -
 
 
 def _choose(
-    signal: NDArray[np.floating], bands: Bands, shown: Grid, searched: Grid, turn: Turn, combs: Combs, bins: Ints
+    signal: NDArray[np.floating], bands: Bands, shown: Grid, searched: Grid, combs: Combs, bins: Ints
 ) -> Choice:
     """The band of one channel in whose envelope ``combs`` or, failing these, most stands out, with its spectrum.
 
@@ -251,7 +250,7 @@ def _choose(
     ends = [stretch.edges[[0, -1]].tolist() for stretch in shown.stretches]
     blocks = [block_spectra(signal, begin=begin, end=end) for begin, end in ends]
     finest = tuple(band for band in bands if band.level == bands[-1].level)
-    screened = _spectra(blocks, finest, searched, turn, toneless=True)
+    screened = _spectra(blocks, finest, searched, toneless=True)
     if not screened.used:
         missing = np.full(shown.transform.n_bins, np.nan)
         nothing = np.full((3, len(bands), len(bins)), np.nan, dtype=np.float32)
@@ -263,7 +262,8 @@ def _choose(
     power = (screened.power / unit).astype(np.float32)
     floor = line_floor(power, order, n_independent)
     height = power / np.maximum(floor, np.finfo(np.float32).tiny)
-    free = free_orders(order, searched.revs, turn.revs_per_cycle) & off_mains(order, speed_hz=turn.mean_hz, cell=cell)
+    free = free_of_others(order, revs_per_cycle=shown.revs_per_cycle, speed_hz=shown.mean_hz, cell=cell)
+    free &= order > LOWEST_ORDER
     seen = over_skirts(height)[:, bins]
     best = best_band(np.where(free, height, 0.0).max(axis=1))
     if len(bins):
@@ -273,13 +273,13 @@ def _choose(
         if evidence.max() >= np.log(seen.size / SURE_OF_COMB):
             # a wider band that shows it as well holds more of the resonance
             best = int(np.flatnonzero(evidence >= WIDER_EVIDENCE * evidence.max())[0])
-    exact = _spectra(blocks, (bands[best],), shown, turn, toneless=False)
+    exact = _spectra(blocks, (bands[best],), shown, toneless=False)
     looks = np.stack([seen, height[:, bins], np.sqrt(np.sqrt(floor[:, bins])) * np.float32(unit**0.25)])
     floor = line_floor(exact.power, shown.order, n_independent)
     return Choice(bands[best], exact.power[0], floor[0], exact.level, share, looks)
 
 
-def _spectra(blocks: list[Blocks], bands: Bands, grid: Grid, turn: Turn, *, toneless: bool) -> Spectra:
+def _spectra(blocks: list[Blocks], bands: Bands, grid: Grid, *, toneless: bool) -> Spectra:
     """Power of the envelopes' lines of ``bands`` on ``grid``, after those of the sums of every second one.
 
     The squared envelope of a wide band is nearly the sum of those of its parts: of a line at the frequency f the share
@@ -289,7 +289,7 @@ def _spectra(blocks: list[Blocks], bands: Bands, grid: Grid, turn: Turn, *, tone
     power, mean_square, used = np.zeros(1), 0.0, 0
     for of_piece, (edges, begins) in zip(blocks, grid.stretches, strict=True):
         squared, rate_hz, unit, bad = envelopes_of(
-            of_piece, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz, toneless=toneless
+            of_piece, rate_hz=grid.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz, toneless=toneless
         )
         touched = (bad[:, 1] > edges[begins, None]) & (bad[:, 0] < edges[begins + long, None])
         good = begins[~touched.any(axis=1)]
@@ -300,7 +300,7 @@ def _spectra(blocks: list[Blocks], bands: Bands, grid: Grid, turn: Turn, *, tone
         squared -= squared.mean(axis=1, keepdims=True)
         lines = np.concatenate([grid.transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared)])
         # what the mean over each step and the staircase of the envelope take from a line
-        lost = np.sinc(grid.order / grid.steps) * np.sinc(grid.order * turn.mean_hz / rate_hz)
+        lost = np.sinc(grid.order / grid.steps) * np.sinc(grid.order * grid.mean_hz / rate_hz)
         power = power + lines * np.square(unit / lost)
     return Spectra(power / max(used, 1), mean_square / max(used, 1), used)
 
@@ -318,67 +318,29 @@ def _dataset(
     recording: xr.Dataset,
     shaft: xr.Dataset,
     settings: OrderSettings,
-    chosen: list[Choice],
-    shown: Grid,
-    pieces: list[tuple[float, float]],
-    bands: Bands,
-    combs: Combs,
+    values: dict[str, Floats],
+    *,
+    revs: int,
+    speed_rpm: Floats,
+    order: Floats,
 ) -> xr.Dataset:
-    """RecordingEnvelope of the ``chosen`` bands of all channels."""
-    seconds = [float(np.diff(time_at(np.array(piece), **knots_of(shaft)))[0]) for piece in pieces]
-    speed = 60.0 * sum(last - first for first, last in pieces) / sum(seconds)
-    values = {
-        "amplitude": np.array([[choice.power**0.25] for choice in chosen]),
-        "floor": np.array([[choice.floor**0.25] for choice in chosen]),
-        "level": np.sqrt([[choice.mean_square / 2.0] for choice in chosen]),
-        "band_low": np.array([[choice.band.low_hz] for choice in chosen]),
-        "band_high": np.array([[choice.band.high_hz] for choice in chosen]),
-        "n_independent": np.array([[shown.n_independent * choice.share] for choice in chosen]),
-    }
+    """RecordingEnvelope of ``values`` (channel, speed[, order]) by name, with frames of ``revs`` revolutions."""
     dims = ("channel", "speed", "order")
-    variables: Variables = {name: (dims[: array.ndim], array, _WORDS[name]) for name, array in values.items()}
-    variables["revs_per_frame"] = (("speed",), np.array([shown.revs]), _WORDS["revs_per_frame"])
-    if combs:
-        variables |= looks_of(combs, bands, order=shown.order, looks=np.stack([choice.looks for choice in chosen]))
-    made = xr.Dataset(variables, coords=_coords(recording, np.array([speed]), shown.order))
-    made.attrs = _attrs(recording, shaft, settings) | {"bands_tried": len(bands), "analysed_s": sum(seconds)}
-    return made
-
-
-def _coords(recording: xr.Dataset, speed: Floats, order: Floats) -> Variables:
     reference = {"units": "1", "long_name": "order of the envelope", "order_reference": "crankshaft"}
-    return {
-        **channel_coords(recording),
-        "speed": described("speed", speed, "min-1", "mean speed"),
-        "order": ("order", order, reference),
-    }
-
-
-def _attrs(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> dict[str, Attribute]:
-    kept = {key: recording.attrs[key] for key in ("recording", "history", "quality") if key in recording.attrs}
-    nominal = recording.attrs.get("encoder_kind") == "constant"
-    return kept | {
+    variables: Variables = {name: (dims[: array.ndim], array, _WORDS[name]) for name, array in values.items()}
+    variables["revs_per_frame"] = (("speed",), np.full(len(speed_rpm), revs), _WORDS["revs_per_frame"])
+    speed = described("speed", speed_rpm, "min-1", "mean speed")
+    made = xr.Dataset(variables, channel_coords(recording) | {"speed": speed, "order": ("order", order, reference)})
+    made.attrs = {key: recording.attrs[key] for key in ("recording", "history", "quality") if key in recording.attrs}
+    made.attrs |= {
         "revs_per_cycle": int(shaft.attrs["revs_per_cycle"]),
         "lowest_order": settings.max_order,
-        "speed_basis": "nominal" if nominal else "measured",
+        "speed_basis": "nominal" if recording.attrs.get("encoder_kind") == "constant" else "measured",
         "bands_tried": 0,
         "analysed_s": 0.0,
         "recorded_s": recording["signal"].shape[1] / float(recording.attrs.get("rate_hz", math.nan)),
     }
-
-
-def _empty(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings, reason: str) -> xr.Dataset:
-    """RecordingEnvelope without speeds and orders, flagged with the ``reason``."""
-    n = recording.sizes["channel"]
-    spectrum = (("channel", "speed", "order"), np.zeros((n, 0, 0)), {"units": "see unit"})
-    of_channel = {name: (("channel", "speed"), np.zeros((n, 0)), _WORDS[name]) for name in _OF_CHANNEL}
-    revs = (("speed",), np.zeros(0, dtype=np.int64), _WORDS["revs_per_frame"])
-    made = xr.Dataset(
-        {**dict.fromkeys(SPECTRA, spectrum), **of_channel, "revs_per_frame": revs},
-        coords=_coords(recording, np.zeros(0), np.zeros(0)),
-        attrs=_attrs(recording, shaft, settings),
-    )
-    return with_flags(made, [remark(str(recording.attrs["recording"]), "no_envelope_band", reason)])
+    return made
 
 
 def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
@@ -387,16 +349,11 @@ def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset
     Recordings whose mean speeds differ by less than ``speed_bin_rpm`` are averaged by power, each as often as its
     independent spectra count; ``band_low`` and ``band_high`` are then the lowest and the highest of their bands. Items
     without orders only give their flags; with other channels or orders than the first of the rest they are left out
-    and flagged "bad". Raises InputError where ``items`` is empty.
+    and flagged "bad".
     """
-    if not items:
-        raise InputError("no envelope to average", allowed="one RecordingEnvelope or more")
     full = [item for item in items if item.sizes["order"]]
-    axes = ("channel", "unit", "order")
-    same = [
-        [np.array_equal(item.variables[name].values, full[0].variables[name].values) for name in axes] for item in full
-    ]
-    alike = [all(of_item) for of_item in same]
+    axes = [[item.variables[name].values for name in ("channel", "unit", "order")] for item in full]
+    alike = [all(map(np.array_equal, of_item, axes[0])) for of_item in axes]
     used = [item for item, is_alike in zip(full, alike, strict=True) if is_alike]
     detail = "envelope with other channels or orders than the test's first"
     left_out = [str(item.attrs["recording"]) for item, is_alike in zip(full, alike, strict=True) if not is_alike]
@@ -431,11 +388,9 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
     revs = []
     for group in groups:
         count = stacked("n_independent", group)
-        total = np.maximum(count.sum(axis=0), 1e-300)
         for name, power in (*((name, 4) for name in SPECTRA), ("level", 2)):
-            values = np.nan_to_num(stacked(name, group)) ** power
-            weight = count.reshape(count.shape + (1,) * (values.ndim - 2))
-            mean = (weight * values).sum(axis=0) / total.reshape(total.shape + (1,) * (values.ndim - 2))
+            total = np.einsum("kc,kc...->c...", count, np.nan_to_num(stacked(name, group)) ** power)
+            mean = (total.T / np.maximum(count.sum(axis=0), 1e-300)).T
             columns[name].append(np.where(mean > 0.0, mean, np.nan) ** (1.0 / power))
         columns["n_independent"].append(count.sum(axis=0))
         columns["band_low"].append(stacked("band_low", group).min(axis=0))

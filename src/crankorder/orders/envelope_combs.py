@@ -24,9 +24,6 @@ median is worth 0.6 of their mean."""
 CYCLE_CELLS = 1.5
 """Cells beside a multiple of the cycle's order where no strikes can be told from what the engine itself does."""
 
-LOCKED_BINS = 2.0
-"""Cells of resolution beside a multiple of the cycle's order that take no part in the choice of the band."""
-
 MAINS_HZ, MAINS_SHARE, MAINS_CELLS = (50.0, 60.0), 0.002, 1.5
 """Multiples of the mains beat with each other in every band that holds two of them, as strikes at such a rate would:
 frequencies, by how much these wander as a share, and cells of resolution beside in which nothing is told."""
@@ -90,19 +87,6 @@ def best_band(height: Floats) -> int:
     return int(np.flatnonzero(height >= WIDER_SHARE * height[best])[0])
 
 
-def free_orders(order: Floats, revs: int, revs_per_cycle: int) -> Bools:
-    """Which ``order`` (orders,) is no multiple of the cycle's: what strikes there is not the engine itself.
-
-    ``revs`` of a frame, whose inverse is the resolution; ``revs_per_cycle`` of the engine, one or two.
-    """
-    return (_off_cycle(order, revs_per_cycle) > LOCKED_BINS / revs) & (order > LOWEST_ORDER)
-
-
-def _off_cycle(order: Floats, revs_per_cycle: int) -> Floats:
-    """Distance of each ``order`` from the nearest multiple of the cycle's."""
-    return np.asarray(np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle)
-
-
 def off_mains(order: Floats, *, speed_hz: float, cell: float) -> Bools:
     """Which ``order`` (orders,) is, at ``speed_hz``, none at which multiples of the mains beat; ``cell`` in orders."""
     made = np.ones(len(order), dtype=np.bool_)
@@ -118,7 +102,8 @@ def free_of_others(order: Floats, *, revs_per_cycle: int, speed_hz: float, cell:
 
     ``revs_per_cycle`` of the engine, one or two; ``speed_hz``: turns a second; ``cell``: resolution in orders.
     """
-    return (_off_cycle(order, revs_per_cycle) > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
+    off_cycle = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
+    return np.asarray(off_cycle > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
 
 
 def floor_worth(step: float, cell: float) -> float:

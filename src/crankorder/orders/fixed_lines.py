@@ -1,20 +1,44 @@
-"""Lines of one frequency, as mains are: those of a test that orders meet, and those taken out of sweeps."""
+"""Lines of one frequency, as mains are: taken out of sweeps, and told apart from the orders that meet them.
+
+Where an order is so close to other lines that no frame parts them its rows are solved over whole recordings, as they
+beat. The others are orders, of which nothing is known, and lines of one frequency, whose size is known from the other
+speeds of the test, where no order is near. What is left of the doubt is part of the interval.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.fft import fft, ifft, next_fast_len
+from scipy.special import chdtri
 
 from crankorder.fft.decimation import sound_samples
 from crankorder.findings import Findings
-from crankorder.orders.intervals import Z95
-from crankorder.quantities import Bools, Complexes, Floats, QualityFlag
+from crankorder.orders.intervals import LARGEST_DOF, Z95, amplitude_interval, phase_interval_deg
+from crankorder.orders.joint_lines import Band, HeldFrames, JointLines, Place, hann_lobe, joint_lines
+from crankorder.orders.true_angle import UNKNOWN_DEG, AngleErrors, errors_of_rows
+from crankorder.quantities import Bools, Complexes, Floats, QualityFlag, remark
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.angle import SpeedCourse
+
+NUMBERS = MethodNumbers("3-orders-lines.toml", "fixed_lines")
+
+ALIKE_BEATS = 0.25
+"""Lines that beat less often in the longest recording are one by two names: nothing could have told them apart."""
+
+LEFT_RATIO = 4.0
+"""Power left over that is so many times the noise beside is of a line whose phase wanders or whose number is wrong."""
+
+DOUBT = 2.0
+"""Standard errors by which the number of a line may be off."""
+
+SPREADS, COURSE_CYCLES, MOST_COURSES = 2.5, 0.5, 20
+"""Standard deviations of the frequency of a line over which its power is spread on each side of it, cycles over the
+recording between the courses that hold it, and how many there are on each side at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +75,246 @@ def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
     return tuple(found.values())
 
 
-STEADY_NUMBERS = MethodNumbers("3-orders-lines.toml", "steady_lines")
+class OrderRows(NamedTuple):
+    """One order in all channels by row: peak amplitude, phase [degree], standard error, degrees of freedom, 95 % ends.
+
+    Each (channels, rows), NaN (0 degrees of freedom) where nothing is known; the phase where there is no mark.
+    """
+
+    amplitude: Floats
+    phase: Floats
+    standard_error: Floats
+    degrees_of_freedom: Floats
+    amplitude_low: Floats
+    amplitude_high: Floats
+    phase_ci95: Floats
+
+    @classmethod
+    def nothing(cls, n_channels: int, n_rows: int) -> OrderRows:
+        """Rows in which nothing is known: ``n_rows`` of them in ``n_channels`` channels."""
+        rows = np.full((len(cls._fields), n_channels, n_rows), np.nan)
+        return cls(*rows)._replace(degrees_of_freedom=np.zeros((n_channels, n_rows)))
+
+    def without(self, hidden: Bools) -> OrderRows:
+        """These rows, of which nothing is known where they are ``hidden`` (rows,)."""
+        nothing = OrderRows.nothing(*self.amplitude.shape)
+        return OrderRows(*(np.where(hidden, none, values) for none, values in zip(nothing, self, strict=True)))
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Frames of one recording (OrderFrames ``item``) in one ``row`` of the map.
+
+    Spectra are in the ``unit`` (channels,); ``beside`` (channels,) is the noise power of a phasor by the bins beside.
+    """
+
+    item: xr.Dataset
+    row: int
+    held: HeldFrames
+    beside: Floats
+    unit: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class PartedRow:
+    """One ``row`` of an ``order`` by itself, (channels,) each: complex amplitude ``value`` about angle 0, and errors.
+
+    ``power`` is that of the noise, of ``freedom`` degrees; ``slack`` (3, channels) what the value may have taken of the
+    lines beside, along and across it, as numbers are off, and what none of them explains, which is the order's own
+    where it ``wanders``. ``doubt`` is the largest that the others, among them the fixed ``lines``, may add to what is
+    not parted from them; ``beats``: as often with close orders as parts them; ``by_noise`` the error of the mean of the
+    frames by noise alone; ``angle`` the errors of the crank angle.
+    """
+
+    row: int
+    order: float
+    lines: tuple[FixedLine, ...]
+    wanders: bool
+    beats: bool
+    value: Complexes
+    power: Floats
+    freedom: Floats
+    slack: Floats
+    doubt: Floats
+    by_noise: Floats
+    angle: AngleErrors
+
+    @property
+    def error(self) -> Floats:
+        """Standard error (channels,) along one axis."""
+        return np.asarray(np.sqrt(0.5 * self.power + np.square(self.slack[[0, 2]] / DOUBT).sum(axis=0)))
+
+    @property
+    def is_parted(self) -> Bools:
+        """Where (channels,) the recordings told the order apart from the others."""
+        return np.asarray(self.beats & (np.sqrt(2.0) * self.error < NUMBERS.parted_share * self.doubt))
+
+    @property
+    def matters(self) -> Bools:
+        """Where (channels,) the others may add more than noise hides."""
+        return np.asarray(self.doubt > Z95 * self.by_noise)
+
+
+def parted_rows(
+    stretches: Sequence[Stretch], orders: Floats, exact: Bools, apart: Sequence[float], fixed: Sequence[FixedLine]
+) -> list[PartedRow]:
+    """What the ``stretches`` of a test hold of the first of ``orders`` (lines,), by row.
+
+    The other orders are close to it; those so far ``apart`` that a frame parts them, and the ``fixed`` lines that it
+    meets, are solved with them. By how much numbers that are not ``exact`` (lines,) may be off is told by all stretches
+    together, and by each where it surely says otherwise. Where the first line alone is not exact, power which none
+    explains is its own.
+    """
+    solved = []
+    for stretch in stretches:
+        band = Band.about(stretch.held, float(orders.min()), float(orders.max()))
+        lines, courses, power, most = _met(stretch, float(orders[0]), fixed)
+        if band is not None and (lines or len(orders) > 1):
+            places = [*(Place(turns=float(order)) for order in (*orders, *apart)), *courses]
+            power = np.pad(power, ((len(places) - len(power), 0), (0, 0)), constant_values=np.inf)
+            free = [number < len(orders) and not exact[number] for number in range(len(places))]
+            fit = joint_lines(band, places, free=free, power=power if lines else None, settled=False)
+            solved.append((stretch, lines, most, fit))
+    if not solved:
+        return []
+    normal, score = (np.sum(each, axis=0) for each in zip(*(fit.information for *_, fit in solved), strict=True))
+    off, error = _off(normal, score)
+    parts: dict[int, list[PartedRow]] = {}
+    for stretch, lines, most, fit in solved:
+        part = _part(stretch, orders, fit, np.abs(off) + DOUBT * error)
+        # a number that lines nearby may have moved parts nothing from them
+        beats = part.beats and (bool(exact[0]) or not lines)
+        part = replace(part, lines=lines, doubt=part.doubt + most * stretch.unit, beats=beats)
+        parts.setdefault(stretch.row, []).append(part)
+    wanders = bool(not exact[0] and exact[1:].all())
+    return [replace(_joined(of_row), wanders=wanders) for of_row in parts.values()]
+
+
+def _met(
+    stretch: Stretch, order: float, fixed: Sequence[FixedLine]
+) -> tuple[tuple[FixedLine, ...], list[Place], Floats, Floats]:
+    """Those of the ``fixed`` lines that an ``order`` meets, none as the speed sweeps; their courses, and their power.
+
+    A line is of known power and unknown phase. Its frequency is known to an error and wanders, so that its power is
+    spread over courses of frequencies about it (courses, channels). Last, the largest (channels,) that the lines may
+    add to a phasor of the order.
+    """
+    held, lines, places, power = stretch.held, [], [], [np.zeros((0, len(stretch.unit)))]
+    most = np.zeros(len(stretch.unit))
+    for line in () if stretch.item.attrs.get("swept", 0) else fixed:
+        away = (line.frequency_hz * held.pace_s - order) * held.revs
+        if np.abs(away).min() >= NUMBERS.reach_bins:
+            continue
+        size, error = np.array([line.amplitude.get(name, (0.0, 0.0)) for name in held.channels]).T / stretch.unit
+        spread = float(np.hypot(line.error_hz, NUMBERS.wander_hz))
+        cycles = SPREADS * spread * held.span_rev * 60.0 / held.rpm
+        half = min(int(np.ceil(cycles / COURSE_CYCLES)), MOST_COURSES)
+        off = np.linspace(-SPREADS, SPREADS, 2 * half + 1)
+        weight = np.exp(-0.5 * np.square(off))
+        lines.append(line)
+        places += [Place(line.frequency_hz + spread * step) for step in off.tolist()]
+        power.append(np.outer(weight / weight.sum(), np.square(size) + np.square(error)))
+        most += np.abs(hann_lobe(away)).max() * (size + Z95 * error)
+    return tuple(lines), places, np.concatenate(power), most
+
+
+def _off(normal: Floats, score: Floats) -> tuple[Floats, Floats]:
+    """By how much numbers (lines,) are off, and the standard error of that; directions that nothing tells are left."""
+    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+    return np.asarray(inverse @ score), np.sqrt(np.maximum(np.diag(inverse), 0.0))
+
+
+def _part(stretch: Stretch, orders: Floats, fit: JointLines, doubt: Floats) -> PartedRow:
+    """What the ``fit`` of one stretch says of the first of ``orders``, numbers being off by the ``doubt`` (free,)."""
+    held, order, band, line = stretch.held, float(orders[0]), fit.band, fit.sighting(0)
+    unit, n = band.unit * stretch.unit, len(held.turn)
+    bins = np.abs(band.bins - order * held.revs)
+    share = float(hann_lobe(bins.min()))
+    close = fit.left + band.waves(fit.places[: len(orders)]) @ fit.phasor[: len(orders)]
+    left, seen = (np.abs(band.spectra(part)[:, bins.argmin()]) * band.unit for part in (fit.left, close))
+    unexplained = np.maximum(np.square(left).mean(axis=0) - LEFT_RATIO * stretch.beside, 0.0)
+    both = seen.max(axis=0) / share + Z95 * np.sqrt(stretch.beside)
+    off, known = _off(*fit.information)
+    doubt = np.minimum(np.maximum(doubt, np.abs(off) - (1.0 + DOUBT) * known), 0.5 / held.span_rev)
+    along, across = (np.sqrt(variance) * unit for variance in fit.doubt(0, np.diag(np.square(doubt))))
+    slack = np.array([along, across, np.sqrt(unexplained) / share * stretch.unit])
+    power, freedom = fit.own[0] * fit.noise(0)[0] * np.square(unit), np.full(len(unit), line.degrees_of_freedom)
+    both, by_noise = both * stretch.unit * (len(orders) > 1), np.sqrt(0.5 * stretch.beside / n) * stretch.unit
+    sizes = line.phasor * stretch.unit, power, freedom, slack, both, by_noise
+    angle = errors_of_rows([stretch.item], np.zeros(n, dtype=np.int64), [np.arange(n)])
+    beats = all(held.parts(order, float(other)) for other in orders[1:])
+    return PartedRow(stretch.row, order, (), False, beats, *sizes, angle)
+
+
+def _joined(parts: Sequence[PartedRow]) -> PartedRow:
+    """The ``parts`` of one row, of several stretches, as one, each by its error: those that beat where some do."""
+    used = [part for part in parts if part.beats] or list(parts)
+    value, power, error = (np.array([getattr(part, name) for part in used]) for name in ("value", "power", "error"))
+    weight = 1.0 / np.maximum(np.square(error), 1e-300)
+    share = weight / weight.sum(axis=0)
+    size, direction = (share * np.abs(value)).sum(axis=0), (share * value).sum(axis=0)
+    scatter = (share * np.square(np.abs(value) - size)).sum(axis=0) / max(len(used) - 1, 1)
+    power = (np.square(share) * power).sum(axis=0) + 2.0 * scatter
+    freedom, by_noise = (np.min([getattr(part, name) for part in used], axis=0) for name in ("freedom", "by_noise"))
+    slack, doubt = (np.max([getattr(part, name) for part in used], axis=0) for name in ("slack", "doubt"))
+    angle = AngleErrors(*np.max([(part.angle.random, part.angle.mean) for part in used], axis=0))
+    value = size * direction / np.maximum(np.abs(direction), 1e-300)
+    lines = tuple(dict.fromkeys(line for part in used for line in part.lines))
+    sizes = value, power, freedom, slack, doubt, by_noise
+    return PartedRow(used[0].row, used[0].order, lines, False, used[0].beats, *sizes, angle)
+
+
+def with_parted(rows: OrderRows, speed_rpm: Floats, parted: Sequence[PartedRow]) -> OrderRows:
+    """``rows`` of an order at ``speed_rpm`` (rows,), those that are ``parted`` from lines beside apart from these.
+
+    Where the recordings tell them apart the row is what the order is by itself. Where they do not, the interval holds
+    whatever the lines may add or take; the amplitude is that of the speeds beside if the lines explain the difference,
+    and stays what it is where they are too small for that.
+    """
+    made = OrderRows(*map(np.copy, rows))
+    is_open = np.zeros(made.amplitude.shape, dtype=bool)
+    for row in parted:
+        known = np.isfinite(rows.amplitude[:, row.row])
+        for values, value in zip(made, _apart(rows, row), strict=True):
+            values[known, row.row] = value[known]
+        is_open[:, row.row] = row.matters & ~row.is_parted & bool(row.lines)
+    for channel in np.flatnonzero(is_open.any(axis=1)):
+        amplitude, gap = made.amplitude[channel], is_open[channel]
+        clear = np.flatnonzero(np.isfinite(amplitude) & ~gap)
+        clear = clear[np.argsort(speed_rpm[clear], kind="stable")]
+        if len(clear):
+            beside = np.interp(speed_rpm[gap], speed_rpm[clear], amplitude[clear])
+            within = (made.amplitude_low[channel, gap] <= beside) & (beside <= made.amplitude_high[channel, gap])
+            amplitude[gap] = np.where(within, beside, amplitude[gap])
+    return made
+
+
+def _apart(rows: OrderRows, parted: PartedRow) -> tuple[Floats, ...]:
+    """Fields of OrderRows (channels,) of the row ``parted`` of ``rows``."""
+    size, phase, error, _, low, high, half = (values[:, parted.row] for values in rows)
+    own, power, order = np.abs(parted.value), parted.power, np.array(parted.order)
+    along, across, beyond = parted.slack
+    own_low, own_high = amplitude_interval(own, power, parted.freedom)
+    own_low, own_high = own_low - along, (own_high + along + beyond) / parted.angle.kept(order)
+    own_half = phase_interval_deg(own, power + 2.0 * np.square(across / DOUBT), parted.freedom)
+    own_half, own_phase = parted.angle.phase_half_deg(own_half, order), np.degrees(np.angle(parted.value))
+    low, high = np.maximum(low - parted.doubt, 0.0), high + parted.doubt
+    agree = parted.is_parted & (np.maximum(own_low, low) <= np.minimum(own_high, high))
+    low, high = np.where(agree, np.maximum(own_low, low), low), np.where(agree, np.minimum(own_high, high), high)
+    own = np.hypot(own, beyond) if parted.wanders else own
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half = half + np.degrees(np.arcsin(parted.doubt / size))
+    half = np.where(half < UNKNOWN_DEG, half, UNKNOWN_DEG)
+    size = np.clip(np.where(agree | (not parted.lines), own, size), low, high)
+    error = np.where(agree, parted.error, np.fmax(0.5 * (high - low) / Z95, error))
+    has_phase, freedom = np.isfinite(phase), np.where(agree, parted.freedom, LARGEST_DOF)
+    phase, half = (
+        np.where(has_phase, np.where(agree, *pair), np.nan) for pair in ((own_phase, phase), (own_half, half))
+    )
+    return size, phase, error, freedom, low, high, half
+
+
+STEADY = MethodNumbers("3-orders-lines.toml", "steady_lines")
 
 PADDED = 8
 """Points of the spectrum of a line between its bins."""
@@ -104,7 +367,7 @@ def steady_flag(recording: str, lines: tuple[SteadyLine, ...]) -> QualityFlag:
         f"lines of one frequency through the whole sweep are taken out before orders are followed: {named}, of the "
         "largest amplitude in any channel; where an order crosses one it would be taken for the order"
     )
-    return {"recording": recording, "flag": "steady_lines_taken_out", "severity": "info", "detail": detail}
+    return remark(recording, "steady_lines_taken_out", detail)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +386,7 @@ class _Seen:
     def of(cls, signals: Floats, usable: Bools, rate_hz: float, band_hz: float) -> _Seen:
         """The transform of ``signals`` (channels, samples), 0 where not ``usable``, of ``band_hz`` at ``rate_hz``."""
         n = signals.shape[1]
-        every = max(1, int(rate_hz / (2.0 * STEADY_NUMBERS.looked_hz)))
+        every = max(1, int(rate_hz / (2.0 * STEADY.looked_hz)))
         # a whole number of samples to each point of the narrow band, and room for what wraps around
         points = next_fast_len(-(-n // every) + 8)
         return cls(fft(signals, points * every, axis=1), usable[::every], rate_hz, band_hz, n / rate_hz, every, points)
@@ -131,33 +394,24 @@ class _Seen:
     def candidates(self, mains_hz: Sequence[float]) -> list[tuple[float, float]]:
         """Ranges of frequency [Hz] in which a line may be: about multiples of ``mains_hz``, and about high peaks."""
         step = self.rate_hz / self.spectrum.shape[1]
-        top = min(0.45 * self.rate_hz, self.band_hz) - STEADY_NUMBERS.looked_hz
-        mains = [hz * k for hz in mains_hz for k in range(1, STEADY_NUMBERS.most_multiples + 1)]
-        power = np.sum(np.abs(_hann(self.spectrum[:, : int(top / step) if top > 0.0 else 0])) ** 2, axis=0)
-        whole = power[: len(power) // STEADY_NUMBERS.peak_bins * STEADY_NUMBERS.peak_bins].reshape(
-            -1, STEADY_NUMBERS.peak_bins
-        )
-        level = np.repeat(np.median(whole, axis=1), STEADY_NUMBERS.peak_bins)
+        top = min(0.45 * self.rate_hz, self.band_hz) - STEADY.looked_hz
+        low = self.spectrum[:, : int(top / step) if top > 0.0 else 0]
+        windowed = low - 0.5 * (np.roll(low, 1, axis=-1) + np.roll(low, -1, axis=-1))  # as a Hann window had made it
+        power = np.sum(np.abs(windowed) ** 2, axis=0)
+        whole = power[: len(power) // STEADY.peak_bins * STEADY.peak_bins].reshape(-1, STEADY.peak_bins)
+        level = np.repeat(np.median(whole, axis=1), STEADY.peak_bins)
         ratio = power[: len(level)] / np.maximum(level, np.finfo(float).tiny)
-        high = np.flatnonzero(
-            (ratio > STEADY_NUMBERS.peak_ratio**2) & (np.arange(len(ratio)) * step > STEADY_NUMBERS.looked_hz)
-        )
-        best = high[np.argsort(-ratio[high], kind="stable")][: 4 * STEADY_NUMBERS.most_peaks]
-        peaks: list[float] = []
+        ratio[: int(STEADY.looked_hz / step) + 1] = 0.0
+        high = np.flatnonzero(ratio > STEADY.peak_ratio**2)
+        best = high[np.argsort(-ratio[high], kind="stable")][: 4 * STEADY.most_peaks]
+        peaks: list[int] = []
         for place in best.tolist():
-            if len(peaks) < STEADY_NUMBERS.most_peaks and all(
-                abs(place * step - other) > 4.0 * step for other in peaks
-            ):
-                peaks.append(place * step)
-        ranges = [(hz - 2.0 / self.length_s, hz + 2.0 / self.length_s) for hz in peaks]
-        return [
-            *ranges,
-            *(
-                (hz * (1.0 - STEADY_NUMBERS.mains_share), hz * (1.0 + STEADY_NUMBERS.mains_share))
-                for hz in mains
-                if hz < top
-            ),
-        ]
+            if all(abs(place - other) > 4 for other in peaks[: STEADY.most_peaks]):
+                peaks.append(place)
+        ranges = [(place * step, 2.0 / self.length_s) for place in peaks[: STEADY.most_peaks]]
+        mains = [hz * k for hz in mains_hz for k in range(1, STEADY.most_multiples + 1)]
+        ranges += [(hz, hz * STEADY.mains_share) for hz in mains if hz < top]
+        return [(hz - reach, hz + reach) for hz, reach in ranges]
 
     def line(
         self, low_hz: float, high_hz: float, speed_rpm: Floats, rates: Floats, orders: Floats
@@ -168,13 +422,13 @@ class _Seen:
         """
         middle = 0.5 * (low_hz + high_hz)
         turning = speed_rpm[speed_rpm > 0.01 * speed_rpm.max()]
-        if middle * (1.0 - float(turning.min() / turning.max())) * self.length_s < STEADY_NUMBERS.least_moved:
+        if middle * (1.0 - float(turning.min() / turning.max())) * self.length_s < STEADY.least_moved:
             return None
         clear = _clear(middle, high_hz - low_hz, speed_rpm, rates, orders) * self.usable
         narrow = self._narrow(middle)[:, : len(clear)]
         dt = self.every / self.rate_hz
         window = clear * np.sin(np.pi * (np.arange(len(clear)) + 0.5) / len(clear)) ** 2
-        if window.sum() < STEADY_NUMBERS.fewest_pieces / STEADY_NUMBERS.pieces * 0.5 * len(clear):
+        if window.sum() < STEADY.fewest_pieces / STEADY.pieces * 0.5 * len(clear):
             return None
         size = next_fast_len(PADDED * len(clear))
         seen = np.abs(fft(narrow * window, size, axis=1)) ** 2
@@ -184,13 +438,16 @@ class _Seen:
         total = np.sum(seen / np.maximum(level, np.finfo(float).tiny), axis=0)
         allowed = inside & (offset >= low_hz - middle) & (offset <= high_hz - middle)
         best = int(np.argmax(np.where(allowed, total, -1.0)))
-        from scipy.special import chdtri
-
-        if 2.0 * total[best] < chdtri(2.0 * len(seen), STEADY_NUMBERS.chance / max(1, int(allowed.sum()))):
+        if 2.0 * total[best] < chdtri(2.0 * len(seen), STEADY.chance / max(1, int(allowed.sum()))):
             return None
-        return _steady_line(
-            narrow, window, clear, middle, float(_finer(total, best) * (offset[1] - offset[0])), dt, offset[best]
+        before, here, after = (float(total[(best + way) % size]) for way in (-1, 0, 1))
+        bend = before - 2.0 * here + after
+        finer = 0.5 * (before - after) / bend if bend < 0.0 else 0.0  # top of the parabola through the three
+        off = float(offset[best] + finer * (offset[1] - offset[0]))
+        amplitude = _steady_amplitude(
+            narrow * np.exp(-2j * np.pi * off * np.arange(narrow.shape[1]) * dt), window, clear
         )
+        return None if amplitude is None else SteadyLine(middle + off, amplitude)
 
     def _narrow(self, middle_hz: float) -> Complexes:
         """The signal (channels, points) within the rate of the narrow band about ``middle_hz``, turned back by that."""
@@ -201,39 +458,26 @@ class _Seen:
         return np.asarray(2.0 / self.every * ifft(self.spectrum[:, bins], axis=1) * back)
 
 
-def _hann(spectrum: Complexes) -> Complexes:
-    """``spectrum`` (…, bins) as a Hann window would have made it."""
-    return np.asarray(spectrum - 0.5 * (np.roll(spectrum, 1, axis=-1) + np.roll(spectrum, -1, axis=-1)))
-
-
-def _finer(power: Floats, best: int) -> float:
-    """How far the top of ``power`` lies from its place ``best``, by the parabola of the three about it."""
-    before, here, after = (float(power[(best + way) % len(power)]) for way in (-1, 0, 1))
-    bend = before - 2.0 * here + after
-    return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-
-
 def _clear(middle_hz: float, width_hz: float, speed_rpm: Floats, rates: Floats, orders: Floats) -> Floats:
     """Weight (points,) of the times at which none of ``orders`` is near ``middle_hz``, which is known to a width."""
     weight = np.ones(len(speed_rpm))
     for order in orders.tolist():
         apart = np.abs(order * speed_rpm / 60.0 - middle_hz) - 0.5 * width_hz
-        reach = np.maximum(STEADY_NUMBERS.clear_of * np.sqrt(order * rates / 60.0), STEADY_NUMBERS.least_clear_hz)
+        reach = np.maximum(STEADY.clear_of * np.sqrt(order * rates / 60.0), STEADY.least_clear_hz)
         weight *= np.sin(0.5 * np.pi * np.clip(apart / reach - 1.0, 0.0, 1.0)) ** 2
     return weight
 
 
-def _steady_line(
-    narrow: Complexes, window: Floats, clear: Floats, middle_hz: float, finer_hz: float, dt: float, offset_hz: float
-) -> SteadyLine | None:
-    """The line ``offset_hz`` + ``finer_hz`` beside ``middle_hz`` of ``narrow`` (channels, points), if it is steady."""
-    off = float(offset_hz) + finer_hz
-    turned = narrow * np.exp(-2j * np.pi * off * np.arange(narrow.shape[1]) * dt)
+def _steady_amplitude(turned: Complexes, window: Floats, clear: Floats) -> Complexes | None:
+    """Amplitude (channels,) of a line that is ``turned`` (channels, points) to 0 Hz; None where it is not steady.
+
+    ``window`` and ``clear`` (points,) are the weights of the points, with and without a fade at both ends.
+    """
     amplitude = (turned @ window) / window.sum()
-    pieces = np.array_split(np.arange(len(clear)), STEADY_NUMBERS.pieces)
+    pieces = np.array_split(np.arange(len(clear)), STEADY.pieces)
     weights = np.array([clear[piece].sum() for piece in pieces])
     kept = weights > 0.5 * len(pieces[0])
-    if np.count_nonzero(kept) < STEADY_NUMBERS.fewest_pieces:
+    if np.count_nonzero(kept) < STEADY.fewest_pieces:
         return None
     means = np.array([turned[:, piece] @ clear[piece] for piece in pieces]).T[:, kept] / weights[kept]
     # within pieces, and in most of them: what rings in one would else hide that it does not in the others
@@ -242,6 +486,6 @@ def _steady_line(
     scatter = np.mean(np.abs(means - amplitude[:, None]) ** 2, axis=1)
     size = np.abs(amplitude) ** 2
     best = int(np.argmax(size / np.maximum(noise, np.finfo(float).tiny)))
-    if scatter[best] > STEADY_NUMBERS.steady_share**2 * size[best] + 2.0 * noise[best]:
+    if scatter[best] > STEADY.steady_share**2 * size[best] + 2.0 * noise[best]:
         return None
-    return SteadyLine(middle_hz + off, amplitude)
+    return np.asarray(amplitude)

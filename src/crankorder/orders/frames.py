@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -17,7 +18,6 @@ from crankorder.fft.windows import hann
 from crankorder.orders.method import (
     METHOD_SHARE,
     FrameLayout,
-    OrderMethod,
     TimeSamples,
     frame_layout,
     is_by_angle,
@@ -96,23 +96,19 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     if swept:
         # the mean over the time lags behind the speed in the middle, where the window weighs most
         speed = speed_at_angle(shaft, layout.begin_rev + 0.5 * layout.revs, float(layout.revs))
-    n_orders = math.floor(settings.max_order * layout.revs) + 1
     if is_by_angle(band):
         usable = band["usable"].values if "usable" in band else None
         per_rev = int(band.attrs["samples_per_rev"])
-        spectrum = spectra_by_angle(
-            band["signal"].values, usable, per_rev, layout.revs, layout.hop_rev, layout.begin_rev, n_orders
-        )
+        spectrum = spectra_by_angle(band["signal"].values, usable, per_rev, layout)
         density, achieved, limit = 1, 0.0, np.full(len(speed), 0.5 * per_rev)
     else:
         samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance).continued(layout.beyond)
-        top = settings.max_order
         for density in (1, DENSER):
-            spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=top, density=density)
-            achieved = achieved_error(samples, shaft, layout, spectrum, speed_rpm=speed, max_order=top, density=density)
+            spectrum = spectra(samples, shaft, layout, density=density)
+            achieved = achieved_error(samples, shaft, layout, spectrum, speed_rpm=speed, density=density)
             if not achieved > settings.tolerance:
                 break
-        limit = layout.method.highest * samples.rate_hz * 60.0 / speed
+        limit = layout.highest * samples.rate_hz * 60.0 / speed
     if "usable" in band and band["usable"].values.any() and np.isnan(spectrum.real).all():
         raise _no_whole_frame(band, layout, speed)
     order = np.arange(spectrum.shape[2]) / layout.revs
@@ -123,7 +119,8 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         "swept": int(swept),
         "frame_length_by": "sweep" if layout.shortened else "settings",
         "tolerance": settings.tolerance,
-        "predicted_error": layout.method.predicted_error + float(band.attrs.get("decimation_error", 0.0)),
+        "predicted_error": (layout.kernel.predicted_error if layout.kernel else 0.0)
+        + float(band.attrs.get("decimation_error", 0.0)),
         "achieved_error": achieved,
         **stated_errors(shaft, revs_per_frame=float(layout.revs)),
     }
@@ -147,8 +144,8 @@ def _no_whole_frame(band: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) ->
 
 def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> xr.Dataset:
     """OrderFrames of a recording without a shaft: one frame in which nothing is known."""
-    layout = FrameLayout(OrderMethod("no shaft", 0.0, 0.0), settings.revs_per_frame, 1, np.zeros(1))
-    shape = (band.sizes["channel"], 1, math.floor(settings.max_order * layout.revs) + 1)
+    layout = FrameLayout(None, 0.0, settings.max_order, settings.revs_per_frame, 1, np.zeros(1))
+    shape = (band.sizes["channel"], 1, layout.n_orders)
     frames = _dataset(band, shaft, layout, np.full(shape, np.nan, dtype=np.complex128), np.full(1, np.nan))
     errors = {"largest_sweep": 0.0, "tolerance": settings.tolerance, "predicted_error": 0.0, "achieved_error": 0.0}
     frames.attrs |= errors
@@ -181,8 +178,9 @@ def _dataset(
 ) -> xr.Dataset:
     """OrderFrames with the attributes that all recordings have; phases and frames are those of ``layout``."""
     kept = {key: band.attrs[key] for key in ("recording", "history", "quality", "samples_per_rev") if key in band.attrs}
-    kernel, order = layout.method.kernel, np.arange(spectrum.shape[2]) / layout.revs
+    kernel, order = layout.kernel, np.arange(spectrum.shape[2]) / layout.revs
     dense = f", {density} times as dense" if density > 1 else ""
+    method = "as sampled" if is_by_angle(band) else "no shaft" if kernel is None else f"resample ({kernel.name}{dense})"
     window = hann(layout.revs * 16)  # a Hann window's noise bandwidth is that of any length
     attrs = {
         "amplitude_scaling": "peak",
@@ -193,7 +191,7 @@ def _dataset(
         "enbw_bins": window.enbw_bins,
         "revs_per_frame": layout.revs,
         "overlap": 1.0 - layout.hop_rev / layout.revs,
-        "method": layout.method.name if kernel is None else f"{layout.method.name} ({kernel.name}{dense})",
+        "method": method,
     }
     dims, text = ("channel", "frame", "order"), "complex peak amplitude by order"
     return xr.Dataset(
@@ -241,45 +239,37 @@ def _flags(
     return [remark(recording, name, detail) for name, detail in remarks]
 
 
-def spectra(
-    samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, *, n_orders: int, max_order: float, density: int = 1
-) -> Complexes:
-    """Spectra (channels, frames, ``n_orders``) of ``samples`` by the method and on the frames of ``layout``.
+def spectra(samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, *, density: int = 1) -> Complexes:
+    """Spectra (channels, frames, orders) of ``samples`` by the kernel and on the frames of ``layout``.
 
-    In peak amplitude, phases from crank angle 0 of ``shaft``. Where the angle is smooth, nothing folds onto an order up
-    to ``max_order``; where it scatters from tooth to tooth, ``density`` times as many samples per revolution are taken.
-    Frames of a channel that touch one of its gaps are NaN.
+    In peak amplitude, phases from crank angle 0 of ``shaft``. Where the angle is smooth, nothing folds onto a wanted
+    order; where it scatters from tooth to tooth, ``density`` times as many samples per revolution are taken. Frames of
+    a channel that touch one of its gaps are NaN.
     """
-    spectrum = np.empty((len(samples.signals), len(layout.begin_rev), n_orders), dtype=np.complex128)
-    kernel = layout.method.kernel
+    spectrum = np.empty((len(samples.signals), len(layout.begin_rev), layout.n_orders), dtype=np.complex128)
+    kernel = layout.kernel
     assert kernel is not None
     for chunk, slowest_hz in _chunks(samples, shaft, layout, CHUNK_SAMPLES // density):
-        per_rev = density * samples_per_rev_for(samples, kernel, slowest_hz=slowest_hz, max_order=max_order)
-        begin = layout.begin_rev[chunk]
+        per_rev = density * samples_per_rev_for(samples, kernel, slowest_hz=slowest_hz, max_order=layout.max_order)
+        part = replace(layout, begin_rev=layout.begin_rev[chunk])
+        begin = part.begin_rev
         angle = begin[0] + np.arange(round((begin[-1] - begin[0] + layout.revs) * per_rev)) / per_rev
         values, usable = signals_at(samples, shaft, angle, kernel)
-        spectrum[:, chunk] = spectra_by_angle(values, usable, per_rev, layout.revs, layout.hop_rev, begin, n_orders)
+        spectrum[:, chunk] = spectra_by_angle(values, usable, per_rev, part)
     return spectrum
 
 
 def spectra_by_angle(
-    signals: NDArray[np.floating],
-    usable: Bools | None,
-    samples_per_rev: int,
-    revs: int,
-    hop_rev: int,
-    begin_rev: Floats,
-    n_orders: int,
+    signals: NDArray[np.floating], usable: Bools | None, samples_per_rev: int, layout: FrameLayout
 ) -> Complexes:
-    """Spectra (channels, frames, ``n_orders`` or as many as there are) of ``signals`` at even crank angles.
+    """Spectra (channels, frames, orders) of ``signals`` at even crank angles on the frames of ``layout``.
 
-    ``signals`` (channels, samples) begin with the first frame; frames are ``revs`` long, ``hop_rev`` apart and begin at
-    the angles ``begin_rev`` (frames,) in rev; ``samples_per_rev`` and ``usable`` are those of the signals.
+    ``signals`` (channels, samples) begin with the first frame; ``samples_per_rev`` and ``usable`` are theirs.
     """
-    starts = np.arange(len(begin_rev), dtype=np.int64) * hop_rev * samples_per_rev
-    length = revs * samples_per_rev
-    made = FrameTransform(hann(length), n_bins=n_orders).spectra(signals, starts)
-    turn = np.exp(-2j * np.pi * (np.outer(begin_rev, np.arange(made.shape[2]) / revs) % 1.0))
+    starts = np.arange(len(layout.begin_rev), dtype=np.int64) * layout.hop_rev * samples_per_rev
+    length = layout.revs * samples_per_rev
+    made = FrameTransform(hann(length), n_bins=layout.n_orders).spectra(signals, starts)
+    turn = np.exp(-2j * np.pi * (np.outer(layout.begin_rev, np.arange(made.shape[2]) / layout.revs) % 1.0))
     spectrum = np.asarray(made * turn)
     if usable is not None:
         spectrum[~whole_frames(usable, starts, length)] = np.nan
@@ -316,38 +306,33 @@ def achieved_error(
     spectrum: Complexes,
     *,
     speed_rpm: Floats,
-    max_order: float,
     density: int = 1,
 ) -> float:
     """Largest error of the fastest frame of ``spectrum`` (channels, frames, orders), over its largest amplitude.
 
     The truth is the same frame of the same ``samples`` and ``shaft``, resampled four times as densely as with
     ``density`` and by a kernel without an error of its own where the recording has the neighbours that it takes.
-    ``layout`` says where the frames lie, ``speed_rpm`` (frames,) how fast they are, ``max_order`` the highest order
-    wanted; those beyond the content of the samples are not looked at. NaN where no frame is whole, or where the
+    ``layout`` says where the frames lie, ``speed_rpm`` (frames,) how fast they are; orders beyond the content of the
+    samples are not looked at. NaN where no frame is whole, or where the
     recording has no neighbours to compare with.
     """
     whole = np.isfinite(spectrum[:, :, 0])
     if not whole.any():
         return math.nan
     frame = int(np.argmax(np.where(whole.any(axis=0), speed_rpm, -np.inf)))
-    begin = layout.begin_rev[frame : frame + 1]
-    place = (time_at(np.append(begin, begin + layout.revs), **knots_of(shaft)) - samples.start_s) * samples.rate_hz
+    one = replace(layout, begin_rev=layout.begin_rev[frame : frame + 1])
+    ends = np.append(one.begin_rev, one.begin_rev + layout.revs)
+    place = (time_at(ends, **knots_of(shaft)) - samples.start_s) * samples.rate_hz
     room = min(place[0], samples.signals.shape[1] - 1 - place[1])
     kernel = cheapest_kernel(LEAST_TOLERANCE, content=samples.content)
     if kernel.margin > room:
-        assert layout.method.kernel is not None
-        kernel = layout.method.kernel
+        assert layout.kernel is not None
+        kernel = layout.kernel
     low = max(0, math.floor(place[0]) - kernel.margin)
     piece = samples.signals[:, low : math.ceil(place[1]) + kernel.margin + 1].astype(np.float64)
-    start_s = samples.start_s + low / samples.rate_hz
-    fine = OrderMethod("resample", kernel.predicted_error, samples.content, kernel)
-    one = FrameLayout(fine, layout.revs, layout.hop_rev, begin)
-    carried = min(max_order, samples.content * samples.rate_hz * 60.0 / float(speed_rpm[frame]))
-    n_orders = min(spectrum.shape[2], math.floor(carried * layout.revs) + 1)
-    alone = TimeSamples(piece, samples.rate_hz, start_s, samples.content)
-    dense = spectra(alone, shaft, one, n_orders=n_orders, max_order=max_order, density=DENSER * density)[:, 0]
-    found = spectrum[whole[:, frame], frame, :n_orders]
-    truth = dense[whole[:, frame]]
+    alone = TimeSamples(piece, samples.rate_hz, samples.start_s + low / samples.rate_hz, samples.content)
+    dense = spectra(alone, shaft, replace(one, kernel=kernel), density=DENSER * density)
+    carried = slice(math.floor(samples.content * samples.rate_hz * 60.0 / float(speed_rpm[frame]) * layout.revs) + 1)
+    found, truth = spectrum[whole[:, frame], frame, carried], dense[whole[:, frame], 0, carried]
     largest = np.maximum(np.abs(truth).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
     return float((np.abs(found - truth) / largest).max())

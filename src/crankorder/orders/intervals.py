@@ -39,9 +39,7 @@ def t_quantile(dof: Floats) -> Floats:
     return np.asarray(found[where].reshape(dof.shape))
 
 
-def amplitude_interval(
-    amplitude: Floats, noise_power: Floats, dof: Floats, *, seen: Bools | None = None
-) -> tuple[Floats, Floats]:
+def amplitude_interval(amplitude: Floats, noise_power: Floats, dof: Floats) -> tuple[Floats, Floats]:
     """Lower and upper end of the 95 % interval of the amplitude of a line in complex Gaussian noise.
 
     Far above the noise it is Student's t about the amplitude without what noise adds to it; near the noise the
@@ -54,7 +52,6 @@ def amplitude_interval(
     amplitude : magnitude of the complex estimate
     noise_power : mean square of its complex error; the standard error of the amplitude is the root of half of it
     dof : degrees of freedom of ``noise_power``; all three broadcast, and 0 or NaN gives 0 and infinity
-    seen : where False the lower end is 0 though ``noise_power`` alone would not say so; None asks nothing more
     """
     amplitude, noise_power, dof = np.broadcast_arrays(amplitude, noise_power, dof)
     tail = 0.5 * (1.0 - LEVEL)
@@ -67,7 +64,6 @@ def amplitude_interval(
         low = _rician_ends(np.sqrt(np.maximum(ratio**2 - shift, 0.0)))[0]
         low = np.where(ratio**2 > least, low * widened, 0.0)
         high = _rician_ends(ratio)[1] * widened
-    low = low if seen is None else np.where(seen, low, 0.0)
     exact = noise_power == 0.0
     low, high = np.where(exact, amplitude, low), np.where(exact, amplitude, high)
     unknown = ~(dof > 0.0) | ~np.isfinite(noise_power)
@@ -94,7 +90,7 @@ def energy_interval(
     return np.sqrt(np.maximum(line - reach, 0.0)), np.sqrt(line + reach)
 
 
-def phase_interval_deg(amplitude: Floats, noise_power: Floats, dof: Floats, *, seen: Bools | None = None) -> Floats:
+def phase_interval_deg(amplitude: Floats, noise_power: Floats, dof: Floats) -> Floats:
     """Half width [degree] of the 95 % interval of the phase; 180, unknown, where noise alone could be as large.
 
     The part of the error across the line is normal whatever the amplitude (Fieller 1954): the true phase is within
@@ -105,10 +101,9 @@ def phase_interval_deg(amplitude: Floats, noise_power: Floats, dof: Floats, *, s
     amplitude : magnitude of the complex estimate
     noise_power : mean square of its complex error
     dof : degrees of freedom of ``noise_power``
-    seen : as of :func:`is_seen`, where more is known of the noise than ``noise_power`` and ``dof`` say
     """
     amplitude, noise_power, dof = np.broadcast_arrays(amplitude, noise_power, dof)
-    clear = is_seen(amplitude, noise_power, dof) if seen is None else seen
+    clear = is_seen(amplitude, noise_power, dof)
     with np.errstate(invalid="ignore", divide="ignore"):
         share = t_quantile(dof) * np.sqrt(0.5 * noise_power) / amplitude
         half = np.where(clear & (share < 1.0), np.degrees(np.arcsin(np.minimum(share, 1.0))), 180.0)

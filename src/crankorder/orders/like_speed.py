@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
 from crankorder.orders.averages import (
+    NEAREST_BINS,
     Contrasts,
+    beside_bins,
     contrasts,
     helped_by_beside,
     neighbour_correlation,
     noise_of_mean,
     steepest_noise_beside,
 )
-from crankorder.orders.intervals import beyond_chance
+from crankorder.orders.intervals import beyond_chance, phases_compare
 from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, remark, with_flags
 from crankorder.shaft.speeds import Indices, held_speeds, speed_groups
 
@@ -36,9 +38,8 @@ CUT_OVERLAP = 0.5
 NEARLY = 0.75
 """Frames of this share of the common length and more are shown on its orders: their lines are that much wider."""
 
-SHAPE_SAMPLES = 1024
-"""Samples on which the shape of the window is evaluated where only its overlap matters."""
-
+SWEPT_SHARE = 0.1
+"""Share of a speed bin from which frames in it are taken to differ in speed."""
 
 ALIKE_SHARE = 0.01
 """Amplitudes that differ by less than this share of the larger are alike: speeds half a percent apart make no less."""
@@ -223,43 +224,6 @@ def _dataset(
 
 
 @dataclass(frozen=True)
-class LikeSpeedFrames:
-    """Frames of a test in groups of like speed.
-
-    ``spectrum`` (channels, frames, orders) complex, ``owner`` (frames,) the number of the recording, ``groups`` indices
-    of frames, slowest first, ``speed_rpm`` their mean speeds, ``n_power`` and ``n_complex`` (groups,) the independent
-    power and complex spectra that the overlapping frames of each are worth, ``used`` the OrderFrames taken,
-    ``remarks`` on what was left out.
-    """
-
-    spectrum: Complexes
-    owner: Ints
-    groups: list[Ints]
-    speed_rpm: Floats
-    n_power: Floats
-    n_complex: Floats
-    used: list[xr.Dataset]
-    remarks: list[QualityFlag]
-
-
-def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
-    """Groups of like speed, within ``speed_bin_rpm``, of all ``frames`` (OrderFrames) that are as long as most.
-
-    Frames of unknown speed stay with their recording, for nothing says that two ran alike.
-    """
-    used, remarks = common_frames(frames)
-    speed = np.concatenate([item["speed"].values for item in used])
-    owner = np.concatenate([np.full(item.sizes["frame"], k) for k, item in enumerate(used)])
-    groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm), speed, owner)
-    window = hann(SHAPE_SAMPLES)
-    hop = max(1, round(SHAPE_SAMPLES * (1.0 - float(used[0].attrs["overlap"]))))
-    worth = [[window.independent_frames(hop, len(group), power=power) for group in groups] for power in (True, False)]
-    spectrum = np.concatenate([item["spectrum"].values for item in used], axis=1)
-    mean_rpm = np.array([speed[group].mean() for group in groups])
-    return LikeSpeedFrames(spectrum, owner, groups, mean_rpm, np.array(worth[0]), np.array(worth[1]), used, remarks)
-
-
-@dataclass(frozen=True)
 class Frames:
     """Frames to average: ``spectrum`` (channels, frames, orders), and for each the recording, its begin and speed."""
 
@@ -286,6 +250,11 @@ class AllFrames:
     begin_rev: Floats
     speed_rpm: Floats
     exponent: Ints
+
+    @property
+    def unit(self) -> Floats:
+        """What is taken out of each channel (channels, 1, 1)."""
+        return np.ldexp(1.0, self.exponent)[:, None, None]
 
     def of(self, which: Ints) -> Frames:
         """Those of the frames that ``which`` (numbers that grow) picks; a view where they are neighbours."""
@@ -329,11 +298,19 @@ def _largest(spectrum: Complexes) -> Floats:
 
 @dataclass(frozen=True)
 class Framing:
-    """Length [rev] and window of the frames; speeds that differ by over ``swept_rpm`` may change amplitudes."""
+    """How frames lie and what their noise is told from.
+
+    ``revs`` their length, ``window``; speeds that differ by over ``swept_rpm`` may change amplitudes. ``with_phase``
+    (orders,) says which orders have phases that recordings share, ``beside`` (orders, several) the bins whose noise is
+    that of each, ``worth`` (orders,) so many independent ones; none where orders are no neighbours.
+    """
 
     revs: float
     window: str
     swept_rpm: float
+    with_phase: Bools
+    beside: Ints
+    worth: Floats
 
     def contrasts_of(self, frames: Frames) -> Contrasts:
         """Contrasts of ``frames`` by their overlap, along their speeds too where these are swept."""
@@ -341,18 +318,6 @@ class Framing:
         correlation = neighbour_correlation(begin, owner, revs_per_frame=self.revs, window=self.window)
         swept = float(np.ptp(frames.speed_rpm)) > self.swept_rpm  # False where unknown
         return contrasts(correlation, frames.speed_rpm if swept else None)
-
-
-@dataclass(frozen=True)
-class Bins:
-    """``beside`` (orders, several) the bins whose noise is that of each, ``worth`` (orders,) so many independent ones.
-
-    ``with_phase`` (orders,) says which orders have phases that recordings share.
-    """
-
-    beside: Ints
-    worth: Floats
-    with_phase: Bools
 
 
 @dataclass(frozen=True)
@@ -372,57 +337,79 @@ class AtSpeed:
     freedom: Floats
 
 
-def rows(every: AllFrames, bins: Bins, framing: Framing, *, speed_bin_rpm: float) -> list[Indices]:
-    """Frames of ``every`` recording that share a row of the map, slowest first; those of unknown speed by recording.
+@dataclass(frozen=True)
+class LikeSpeedFrames:
+    """Frames of a test and the rows of like speed that they are averaged in.
+
+    ``used`` the OrderFrames taken, ``remarks`` on what was left out, ``every`` their frames, ``framing`` theirs,
+    ``groups`` the indices of the frames of each row, slowest first.
+    """
+
+    used: list[xr.Dataset]
+    remarks: list[QualityFlag]
+    every: AllFrames
+    framing: Framing
+    groups: list[Indices]
+
+    @property
+    def speed_rpm(self) -> Floats:
+        """Mean speed (rows,) of the frames of each row."""
+        return np.array([np.mean(self.every.speed_rpm[group]) for group in self.groups])
+
+    def at_columns(self, columns: Ints) -> LikeSpeedFrames:
+        """The frames at the orders numbered ``columns`` (rising) alone, for phases that all recordings share."""
+        every = replace(self.every, spectra=[spectrum[:, :, columns] for spectrum in self.every.spectra])
+        beside = np.minimum(np.searchsorted(columns, self.framing.beside[columns]), len(columns) - 1)
+        shared, worth = np.ones(len(columns), dtype=np.bool_), self.framing.worth[columns]
+        return replace(self, every=every, framing=replace(self.framing, with_phase=shared, beside=beside, worth=worth))
+
+
+def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
+    """All ``frames`` (OrderFrames) that :func:`common_frames` takes, in rows; those of unknown speed by recording.
 
     Frames of a sweep fall into bins of ``speed_bin_rpm``. Speeds that are held, as in a stepped test, share a row
     within that width only where all that they show agrees; nothing says that two of unknown speed ran alike.
-    ``bins`` say what noise is told from, ``framing`` is that of the frames.
     """
+    used, remarks = common_frames(frames)
+    every, attrs, order = all_frames(used), used[0].attrs, used[0]["order"].values
+    beside = beside_bins(order, line_step=1.0 / int(attrs["revs_per_cycle"]), count=NEAREST_BINS)
+    revs, swept_rpm = float(attrs["revs_per_frame"]), SWEPT_SHARE * speed_bin_rpm
+    framing = Framing(revs, str(attrs["window"]), swept_rpm, phases_compare(used, order), *beside)
     speed, owner = every.speed_rpm, every.owner
-    groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner), speed, owner)
+    groups = speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner)
+    if groups and np.isnan(speed[groups[-1][0]]):
+        unknown = groups.pop()
+        groups += [unknown[owner[unknown] == name] for name in np.unique(owner[unknown])]
     held = held_speeds(speed, owner, width_rpm=speed_bin_rpm)
     place = np.full(len(speed), -1)
     for number, part in enumerate(held):
         place[part] = number
-    made: list[Indices] = []
+    rows: list[Indices] = []
     for group in groups:
         steps = np.unique(place[group])
         if len(steps) < 2 or steps[0] < 0:
-            made.append(group)
+            rows.append(group)
             continue
-        shown = [(held[k], _at_speed(every.of(held[k]), bins, framing)) for k in steps.tolist()]
-        made += _agreeing(shown, bins)
-    return made
+        joined: list[list[tuple[Indices, AtSpeed]]] = []
+        for k in steps.tolist():
+            at_speed = _at_speed(every.of(held[k]), framing)
+            # it joins the next slower row if all speeds of that row agree with it
+            if not joined or not all(agree(other, at_speed, with_phase=framing.with_phase) for _, other in joined[-1]):
+                joined.append([])
+            joined[-1].append((held[k], at_speed))
+        rows += [np.sort(np.concatenate([part for part, _ in row])) for row in joined]
+    return LikeSpeedFrames(used, remarks, every, framing, rows)
 
 
-def _unknown_apart(groups: list[Indices], speed: Floats, owner: Ints) -> list[Indices]:
-    """``groups`` of frames with those of unknown speed, which come last, by recording."""
-    if not groups or not np.isnan(speed[groups[-1][0]]):
-        return groups
-    unknown = groups[-1]
-    return [*groups[:-1], *(unknown[owner[unknown] == name] for name in np.unique(owner[unknown]))]
-
-
-def _agreeing(shown: list[tuple[Indices, AtSpeed]], bins: Bins) -> list[Indices]:
-    """The speeds ``shown``, each joined to the next slower row if all speeds of that row agree with it."""
-    joined = [[shown[0]]]
-    for part, at_speed in shown[1:]:
-        if not all(agree(other, at_speed, with_phase=bins.with_phase) for _, other in joined[-1]):
-            joined.append([])
-        joined[-1].append((part, at_speed))
-    return [np.sort(np.concatenate([part for part, _ in row])) for row in joined]
-
-
-def _at_speed(frames: Frames, bins: Bins, framing: Framing) -> AtSpeed:
+def _at_speed(frames: Frames, framing: Framing) -> AtSpeed:
     """What ``frames`` held at one speed show."""
     shape, spectrum = replace(framing, swept_rpm=np.inf).contrasts_of(frames), frames.spectrum
     mean, energy = spectrum.mean(axis=1), np.square(np.abs(spectrum)).mean(axis=1)
     own = np.full(energy.shape, 0.5 * shape.dof)
     powers = np.full(energy.shape, shape.independent_powers)
     noise = np.nan_to_num(noise_of_mean(spectrum, shape) / shape.mean_variance)
-    noise, own = helped_by_beside(noise, own, energy=energy, powers=powers, bins=bins.beside, worth=bins.worth)
-    louder = np.maximum(noise, steepest_noise_beside(energy, bins.beside))
+    noise, own = helped_by_beside(noise, own, energy, powers, bins=framing.beside, worth=framing.worth)
+    louder = np.maximum(noise, steepest_noise_beside(energy, framing.beside))
     return AtSpeed(mean, noise * shape.mean_variance, energy, louder, powers, 2.0 * own)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -10,9 +11,7 @@ from scipy.special import fdtri
 
 from crankorder.orders.averages import (
     FEW_CONTRASTS,
-    NEAREST_BINS,
     Contrasts,
-    beside_bins,
     helped_by_beside,
     independent_by_memory,
     noise_of_mean,
@@ -27,22 +26,11 @@ from crankorder.orders.intervals import (
     one_phase_reference,
     phase_interval_deg,
     phase_reference_of,
-    phases_compare,
     wider_of,
 )
-from crankorder.orders.like_speed import Bins, Frames, Framing, all_frames, common_frames, rows
-from crankorder.orders.true_angle import AngleErrors, errors_of_rows, given_to
-from crankorder.quantities import (
-    Bools,
-    Complexes,
-    Floats,
-    Ints,
-    Variables,
-    channel_coords,
-    described,
-    flags_of,
-    with_flags,
-)
+from crankorder.orders.like_speed import Frames, Framing, LikeSpeedFrames, like_speed_frames
+from crankorder.orders.true_angle import errors_of_rows, given_to
+from crankorder.quantities import Complexes, Floats, Ints, Variables, channel_coords, described, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
 BESIDE_WORTH = 2.0
@@ -61,15 +49,20 @@ two lines too close to be parted do. A resonance within a bin seldom stands so f
 MOST_BLOCKS = 8
 """Stretches of a recording whose means are the values that it held."""
 
-
-SWEPT_SHARE = 0.1
-"""Share of a speed bin from which frames in it are taken to differ in speed."""
-
 MOST_VALUES = 1 << 20
 """Values of frames that are averaged at a time: the memory does not grow with their number."""
 
 
 DIMS = ("channel", "speed", "order")
+
+INTERVALS = {
+    "standard_error": ("see unit", "standard error of coherent_amplitude"),
+    "degrees_of_freedom": ("1", "degrees of freedom of standard_error"),
+    "coherent_amplitude_low": ("see unit", "lower end of the 95 % interval of coherent_amplitude"),
+    "coherent_amplitude_high": ("see unit", "upper end of the 95 % interval of coherent_amplitude"),
+    "phase_ci95": ("degree", "half width of the 95 % interval of phase; 180: unknown"),
+}
+"""Variables of an OrderMap that say how sure its coherent averages are: unit and what they are."""
 
 
 @dataclass(frozen=True)
@@ -185,28 +178,25 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     could be made, not for that of those at hand. Amplitude and phase are means over the recording; where they surely
     change within it their intervals reach over all values held, while ``standard_error`` stays that of the mean.
     """
-    used, remarks = common_frames(frames)
-    order = used[0]["order"].values
-    every = all_frames(used)
-    comparable = phases_compare(used, order)
-    bins, worth = beside_bins(order, line_step=1.0 / int(used[0].attrs["revs_per_cycle"]), count=NEAREST_BINS)
-    revs, window = float(used[0].attrs["revs_per_frame"]), str(used[0].attrs["window"])
-    framing = Framing(revs, window, SWEPT_SHARE * settings.speed_bin_rpm)
-    groups = rows(every, Bins(bins, worth, comparable), framing, speed_bin_rpm=settings.speed_bin_rpm)
-    parts = (_average(every.of(group), comparable, framing, bins) for group in groups)
-    columns = list(zip(*([getattr(part, field.name) for field in fields(Average)] for part in parts), strict=True))
-    # each is let go as it is joined: twice the averages of a long sweep fill the memory
-    whole = Average(*(np.stack(columns.pop(0), axis=1) for _ in fields(Average)))
-    speed = np.array([np.mean(every.speed_rpm[group]) for group in groups])
-    unit = np.ldexp(1.0, every.exponent)[:, None, None]
-    given = given_to(np.abs(whole.coherent), used)
-    angle = errors_of_rows(used, every.owner, groups).by_order
-    variables = _averages(whole, unit) | _intervals(whole, unit, (bins, worth), angle, order, given)
-    result = _dataset(variables, used, order, speed, settings)
-    if not one_phase_reference(used):
+    grouped = like_speed_frames(frames, speed_bin_rpm=settings.speed_bin_rpm)
+    whole = averaged(grouped)
+    intervals = intervals_of(whole, grouped)
+    variables = _averages(whole, grouped.every.unit)
+    variables |= {name: described(DIMS, intervals[name], units, text) for name, (units, text) in INTERVALS.items()}
+    result = _dataset(variables, grouped, settings)
+    if not one_phase_reference(grouped.used):
         for name in ("phase", "phase_ci95"):
             result[name].values[:] = np.nan
-    return with_flags(result, [flag for item in frames for flag in flags_of(item)] + remarks)
+    return with_flags(result, [flag for item in frames for flag in flags_of(item)] + grouped.remarks)
+
+
+def averaged(grouped: LikeSpeedFrames, turned: Callable[[Frames], Frames] | None = None) -> Average:
+    """Average (channel, speed, order) of the rows of ``grouped``, of frames ``turned`` first where that is given."""
+    rows = map(grouped.every.of, grouped.groups)
+    parts = (average_of(frames, grouped.framing) for frames in (map(turned, rows) if turned else rows))
+    columns = list(zip(*([getattr(part, field.name) for field in fields(Average)] for part in parts), strict=True))
+    # each is let go as it is joined: twice the averages of a long sweep fill the memory
+    return Average(*(np.stack(columns.pop(0), axis=1) for _ in fields(Average)))
 
 
 def _averages(whole: Average, unit: Floats) -> Variables:
@@ -230,23 +220,21 @@ def _averages(whole: Average, unit: Floats) -> Variables:
     }
 
 
-def _intervals(
-    whole: Average, unit: Floats, beside: tuple[Ints, Floats], angle: AngleErrors, order: Floats, given: Floats
-) -> Variables:
-    """Variables of standard error, degrees of freedom and 95 % intervals of ``whole`` (channel, speed, order).
+def intervals_of(whole: Average, grouped: LikeSpeedFrames, *, by_crank: bool = True) -> dict[str, Floats]:
+    """Values of the variables of INTERVALS of ``whole`` (channel, speed, order).
 
-    Where the frames' own scatter says too little the bins ``beside`` are asked too, worth so many independent ones.
-    ``angle`` (speed, 1) are the errors of the crank angle, which turn and lessen a line at each ``order``; ``given``
-    is what a swing of the angle may give to it.
+    Where the scatter of the frames ``grouped`` says too little the bins beside are asked too. Phases ``by_crank`` err
+    with its angle, which turns and lessens lines, and whose swing may give to them.
     """
-    bins, worth = beside
+    unit, used = grouped.every.unit, grouped.used
+    order = used[0]["order"].values if by_crank else np.zeros(whole.energy.shape[2])
+    angle = errors_of_rows(used, grouped.every.owner, grouped.groups).by_order
+    given = given_to(np.abs(whole.coherent), used) if by_crank else np.zeros(whole.energy.shape)
     noise, own = np.nan_to_num(whole.noise), whole.own
     few = np.flatnonzero((own < FEW_CONTRASTS).any(axis=(0, 2)))
     if len(few):
-        own = own.copy()
-        noise[:, few], own[:, few] = helped_by_beside(
-            noise[:, few], own[:, few], energy=whole.energy[:, few], powers=whole.powers[:, few], bins=bins, worth=worth
-        )
+        own, at_few = own.copy(), (values[:, few] for values in (noise, own, whole.energy, whole.powers))
+        noise[:, few], own[:, few] = helped_by_beside(*at_few, bins=grouped.framing.beside, worth=grouped.framing.worth)
     dof = np.floor(2.0 * own + 0.5)
     coherent = np.abs(whole.coherent)
     power = np.where(own > 0.0, noise * whole.left, np.nan)
@@ -263,32 +251,28 @@ def _intervals(
     low = np.maximum(np.fmin(low, whole.least) - given, 0.0)
     high = np.fmax(high, whole.most) / angle.kept(order) + given
     missing = np.isnan(coherent)
-    error = np.where(missing, np.nan, np.sqrt(power / 2.0))
-    dof = np.where(missing, 0.0, dof)
-    half = np.where(whole.apart > 1, np.nan, half)
-    of_amplitude, of_phase = "95 % interval of coherent_amplitude", "half width of the 95 % interval of phase"
     return {
-        "standard_error": described(DIMS, unit * error, "see unit", "standard error of coherent_amplitude"),
-        "degrees_of_freedom": described(DIMS, dof, "1", "degrees of freedom of standard_error"),
-        "coherent_amplitude_low": described(DIMS, unit * low, "see unit", f"lower end of the {of_amplitude}"),
-        "coherent_amplitude_high": described(DIMS, unit * high, "see unit", f"upper end of the {of_amplitude}"),
-        "phase_ci95": described(DIMS, half, "degree", f"{of_phase}; 180: unknown"),
+        "standard_error": unit * np.where(missing, np.nan, np.sqrt(power / 2.0)),
+        "degrees_of_freedom": np.where(missing, 0.0, dof),
+        "coherent_amplitude_low": unit * low,
+        "coherent_amplitude_high": unit * high,
+        "phase_ci95": np.where(whole.apart > 1, np.nan, half),
     }
 
 
-def _average(frames: Frames, comparable: Bools, framing: Framing, bins: Ints) -> Average:
-    """Average of a group of ``frames``; those that are NaN, by channel and order, take no part.
+def average_of(frames: Frames, framing: Framing) -> Average:
+    """Average of a group of ``frames`` that lie as ``framing`` says; what is NaN, by channel and order, is left out.
 
     Where some are, columns (one channel, one order) with the same frames are averaged together; of very many frames the
     channels are averaged one by one.
     """
     if len(frames.spectrum) > 1 and frames.spectrum.size > MOST_VALUES:
         each = (replace(frames, spectrum=channel[None]) for channel in frames.spectrum)
-        of_channels = [_average(channel, comparable, framing, bins) for channel in each]
+        of_channels = [average_of(channel, framing) for channel in each]
         return Average(*(np.concatenate([getattr(of, field.name) for of in of_channels]) for field in fields(Average)))
     seen = np.isfinite(frames.spectrum.real)
     if seen.all():
-        return _average_whole(frames, comparable, framing, bins)
+        return _average_whole(frames, framing)
     n_channels, _, n_orders = frames.spectrum.shape
     columns = np.moveaxis(frames.spectrum, 1, 2).reshape(n_channels * n_orders, -1)
     patterns, which = np.unique(np.moveaxis(seen, 1, 2).reshape(n_channels * n_orders, -1), axis=0, return_inverse=True)
@@ -298,7 +282,8 @@ def _average(frames: Frames, comparable: Bools, framing: Framing, bins: Ints) ->
         if not pattern.any():
             continue
         part = Frames(np.ascontiguousarray(columns[at].T)[None], frames.owner, frames.begin_rev, frames.speed_rpm)
-        mean = _average_whole(part.of(pattern), comparable[at % n_orders], framing)
+        alone = replace(framing, with_phase=framing.with_phase[at % n_orders], beside=framing.beside[:0])
+        mean = _average_whole(part.of(pattern), alone)
         for name, column in columns_of.items():
             column[at] = getattr(mean, name)[0]
     filled = {name: column.reshape(n_channels, n_orders) for name, column in columns_of.items()}
@@ -307,24 +292,21 @@ def _average(frames: Frames, comparable: Bools, framing: Framing, bins: Ints) ->
     return Average(**filled | none | {"apart": np.nan_to_num(filled["apart"], nan=1.0)})
 
 
-def _average_whole(frames: Frames, comparable: Bools, framing: Framing, bins: Ints | None = None) -> Average:
-    """Average of a group of ``frames`` that all hold numbers; ``comparable`` (orders,) as of :func:`phases_compare`.
-
-    ``bins`` (orders, several) are those beside each, None where the columns are no neighbours.
-    """
+def _average_whole(frames: Frames, framing: Framing) -> Average:
+    """Average of a group of ``frames`` that all hold numbers."""
     spectrum, shape = frames.spectrum, framing.contrasts_of(frames)
     n_frames, columns = spectrum.shape[1], (len(spectrum), spectrum.shape[2])
     power = np.square(spectrum.real) + np.square(spectrum.imag)
     energy = power.mean(axis=1)
     mean = spectrum.mean(axis=1)
     count = np.full(columns, n_frames)
-    kept = independent_by_memory(spectrum - mean[:, None], frames.owner, count, chance="taken off")
+    kept = independent_by_memory(spectrum - mean[:, None], frames.owner, count)
     # noise of different recordings is surely independent, whatever they differ by
     kept = np.maximum(kept, float(len(np.unique(frames.owner))))
     left = np.full(columns, shape.mean_variance)
-    beside = None if bins is None else steepest_noise_beside(energy, bins)
+    level = steepest_noise_beside(energy, framing.beside) if framing.beside.size else None
     noise = noise_of_mean(spectrum, shape)
-    held = held_values(spectrum, frames.owner, mean=mean, noise=noise, shape=shape, beside=beside)
+    held = held_values(spectrum, frames.owner, mean=mean, noise=noise, shape=shape, beside=level)
     average = Average(
         **vars(held) | {"noise": held.noise / shape.mean_variance},
         **vars(between_recordings(spectrum, frames.owner, mean)),
@@ -339,13 +321,14 @@ def _average_whole(frames: Frames, comparable: Bools, framing: Framing, bins: In
         phases=np.maximum(1.0, np.minimum(kept, 1.0 / shape.mean_variance)),
         count=count.astype(np.float64),
     )
-    if comparable.all() or (frames.owner == frames.owner[0]).all():
+    if framing.with_phase.all() or (frames.owner == frames.owner[0]).all():
         return average
-    return _without_common_phase(frames, average, comparable, framing)
+    return _without_common_phase(frames, average, framing)
 
 
-def _without_common_phase(frames: Frames, average: Average, comparable: Bools, framing: Framing) -> Average:
+def _without_common_phase(frames: Frames, average: Average, framing: Framing) -> Average:
     """``average``, but by coherent power at the orders whose phases in different recordings say nothing."""
+    comparable = framing.with_phase
     names, counts = np.unique(frames.owner, return_counts=True)
     weights = counts / counts.sum()
     power, noise, own, left, bias = (np.zeros(average.energy.shape) for _ in range(5))
@@ -387,16 +370,18 @@ def _spectral_kurtosis(power: Floats, energy: Floats, n: float) -> Floats:
     return np.asarray(((n + 1.0) * ratio - 2.0 * n) / (n - 1.0))
 
 
-def _dataset(
-    variables: Variables, used: list[xr.Dataset], order: Floats, speed: Floats, settings: OrderSettings
-) -> xr.Dataset:
-    first = used[0]
+def _dataset(variables: Variables, grouped: LikeSpeedFrames, settings: OrderSettings) -> xr.Dataset:
+    used, first = grouped.used, grouped.used[0]
     result = xr.Dataset(
         variables,
         coords={
             **channel_coords(first),
-            "order": ("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-            "speed": described("speed", speed, "min-1", "speed"),
+            "order": (
+                "order",
+                first["order"].values,
+                {"units": "1", "long_name": "order", "order_reference": "crankshaft"},
+            ),
+            "speed": described("speed", grouped.speed_rpm, "min-1", "speed"),
         },
     )
     kept = ("window", "enbw_bins", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "revs_per_cycle")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -61,11 +61,6 @@ class TimeSamples:
     content: float
     usable: Bools | None = None
 
-    @property
-    def double(self) -> bool:
-        """Whether the samples are held in double precision."""
-        return self.signals.dtype.itemsize > 4
-
     def continued(self, count: int) -> TimeSamples:
         """These samples and ``count`` more at both ends, mirrored at the first and the last: bends join smoothly."""
         if not count:
@@ -111,7 +106,8 @@ def kernel_for(samples: TimeSamples, tolerance: float) -> Kernel:
     It leaves no images of what lies above, and is as long in single as in double precision, so that frames begin at
     the same angle. Raises RequestError where there is none.
     """
-    single = None if samples.double else _single_of(samples.content, tolerance)
+    double = samples.signals.dtype.itemsize > 4
+    single = None if double else _single_of(samples.content, tolerance)
     return single or cheapest_kernel(tolerance, content=samples.content)
 
 
@@ -197,34 +193,29 @@ def signals_by_angle(band: xr.Dataset, shaft: xr.Dataset, *, max_order: float, t
 
 
 @dataclass(frozen=True)
-class OrderMethod:
-    """A way from samples to order spectra and what it costs in accuracy.
-
-    ``highest`` is the share of the sample rate up to which orders are carried, ``kernel`` that of "resample".
-    """
-
-    name: Literal["resample", "as sampled", "no shaft"]
-    predicted_error: float
-    highest: float
-    kernel: Kernel | None = None
-
-
-@dataclass(frozen=True)
 class FrameLayout:
     """Where the frames of a recording lie: each ``revs`` long, beginning at ``begin_rev`` (frames,), in rev.
 
-    They are ``hop_rev`` apart, or further where frames were left out that stand for no speed (``left_out``, how many);
-    ``shortened`` says whether the sweep asked for less than the settings, ``beyond`` by how many samples a recording
-    must be continued at both ends to hold them.
+    ``kernel`` resamples them, None where they are taken as sampled; ``highest`` is the share of the sample rate up to
+    which orders are carried, ``max_order`` the highest that is wanted. Frames are ``hop_rev`` apart, or further where
+    some were left out that stand for no speed (``left_out``, how many); ``shortened`` says whether the sweep asked for
+    less than the settings, ``beyond`` by how many samples a recording must be continued at both ends to hold them.
     """
 
-    method: OrderMethod
+    kernel: Kernel | None
+    highest: float
+    max_order: float
     revs: int
     hop_rev: int
     begin_rev: Floats
     shortened: bool = False
     left_out: int = 0
     beyond: int = 0
+
+    @property
+    def n_orders(self) -> int:
+        """Bins of a spectrum from order 0 to the highest that is wanted."""
+        return math.floor(self.max_order * self.revs) + 1
 
 
 def swept_revs(course: SpeedCourse, *, settings: OrderSettings, revs_per_cycle: int) -> int:
@@ -257,20 +248,21 @@ def frame_layout(
     asked = max(1, settings.revs_per_frame // cycle) * cycle
     wanted = asked if course is None else swept_revs(course, settings=settings, revs_per_cycle=cycle)
 
+    kernel: Kernel | None
     if is_by_angle(band):
-        method, first = OrderMethod("as sampled", 0.0, 0.5), float(shaft["crank_angle"].values[0])
+        kernel, highest, first = None, 0.5, float(shaft["crank_angle"].values[0])
         ends = inner = first, first + band["signal"].shape[1] / int(band.attrs["samples_per_rev"])
     else:
         samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
         kernel = kernel_for(samples, METHOD_SHARE * settings.tolerance)
-        method = OrderMethod("resample", kernel.predicted_error, samples.content, kernel)
+        highest = samples.content
         ends, inner = (covered_angles(samples, shaft, margin=margin) for margin in (0, kernel.margin))
     held = [math.floor(last - first + ROUNDING_REV) // cycle * cycle for first, last in (ends, inner)]
     revs, beyond = min(wanted, held[0]), 0
     first, last = inner
     if revs > held[1]:
-        assert method.kernel is not None
-        (first, last), beyond = ends, method.kernel.margin
+        assert kernel is not None
+        (first, last), beyond = ends, kernel.margin
     if revs == 0:
         raise InputError(
             "the recording holds less than one engine cycle",
@@ -284,7 +276,8 @@ def frame_layout(
     begin = first + hop * np.arange(count, dtype=np.float64)
     turning = np.ones(count, dtype=bool) if course is None else _turning(begin, revs, shaft, course)
     left_out = int(count - turning.sum())
-    return FrameLayout(method, revs, hop, begin[turning], wanted < asked, left_out, beyond)
+    parts = (settings.max_order, revs, hop, begin[turning], wanted < asked, left_out, beyond)
+    return FrameLayout(kernel, highest, *parts)
 
 
 def _turning(begin_rev: Floats, revs: int, shaft: xr.Dataset, course: SpeedCourse) -> Bools:

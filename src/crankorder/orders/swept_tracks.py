@@ -14,7 +14,10 @@ from crankorder.errors import RequestError
 from crankorder.fft.decimation import band_limited, sound_samples
 from crankorder.fft.transforms import counted
 from crankorder.orders.averages import median_of_known
-from crankorder.orders.filter_bandwidth import (
+from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
+from crankorder.orders.intervals import Z95, amplitude_interval, phase_interval_deg
+from crankorder.orders.true_angle import AngleErrors, errors_along
+from crankorder.orders.vold_kalman import (
     FLANK,
     HALF_POWER,
     LEVEL_DOF,
@@ -24,11 +27,8 @@ from crankorder.orders.filter_bandwidth import (
     impulse_response,
     student_factor,
     taken_in_truth,
+    vold_kalman,
 )
-from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
-from crankorder.orders.intervals import Z95, amplitude_interval, phase_interval_deg
-from crankorder.orders.true_angle import AngleErrors, errors_along
-from crankorder.orders.vold_kalman import vold_kalman
 from crankorder.quantities import (
     Bools,
     Complexes,
@@ -259,10 +259,8 @@ def swept_tracks(
             except RequestError as error:
                 notes.append(f"{span[0]:.3g} to {span[1]:.3g} s: {error}")
     tracks = _dataset(band, shaft, named, course, parts)
-    with_flags(tracks, [*flags_of(shaft), *_flags(tracks, notes)])
-    if lines:
-        with_flags(tracks, [*flags_of(tracks), steady_flag(str(band.attrs["recording"]), lines)])
-    return tracks
+    taken_out = [steady_flag(str(band.attrs["recording"]), lines)] if lines else []
+    return with_flags(tracks, [*flags_of(shaft), *_flags(tracks, notes), *taken_out])
 
 
 def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:

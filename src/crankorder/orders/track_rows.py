@@ -7,7 +7,6 @@ its own, as the order was followed through it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
 from functools import cached_property
 
 import numpy as np
@@ -16,9 +15,15 @@ import xarray as xr
 from crankorder.fft.windows import power_of_two
 from crankorder.findings import Findings
 from crankorder.orders.averages import HeldSizes, SizeRows, beside_bins, noise_beside, noise_under
-from crankorder.orders.close_rows import ALIKE_BEATS, OrderRows, PartedRow, Stretch, parted_rows, with_parted
-from crankorder.orders.filter_bandwidth import NOISE_BANDWIDTH
-from crankorder.orders.fixed_lines import FixedLine
+from crankorder.orders.fixed_lines import (
+    ALIKE_BEATS,
+    FixedLine,
+    OrderRows,
+    PartedRow,
+    Stretch,
+    parted_rows,
+    with_parted,
+)
 from crankorder.orders.intervals import (
     Z95,
     amplitude_interval,
@@ -30,6 +35,7 @@ from crankorder.orders.joint_lines import HeldFrames, hann_lobe
 from crankorder.orders.like_speed import common_frames
 from crankorder.orders.swept_tracks import followed_error
 from crankorder.orders.true_angle import GIVEN, AngleErrors
+from crankorder.orders.vold_kalman import NOISE_BANDWIDTH
 from crankorder.quantities import Bools, Complexes, Floats, Ints, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
@@ -61,15 +67,7 @@ LEAK_LEFT = 0.01
 """Share of what a line leaks into the bins beside that cannot be taken off."""
 
 
-_ON_BIN_NAMES = (
-    "coherent_amplitude",
-    "phase",
-    "standard_error",
-    "degrees_of_freedom",
-    "coherent_amplitude_low",
-    "coherent_amplitude_high",
-    "phase_ci95",
-)
+_ON_BIN_NAMES = [f"coherent_{name}" if name.startswith("amplitude") else name for name in OrderRows._fields]
 """Variables of the map that stand for the fields of OrderRows."""
 
 BAND_HELD = 0.5
@@ -120,14 +118,9 @@ class TrackReader:
         places = [_place_in(item, order) for item in self.items]
         made = with_parted(self._of_map(order, others), self.map_rpm, self._parted(order, others))
         hidden = self._rows_of_sweeps([item for item, place in zip(self.items, places, strict=True) if place >= 0])
-        if hidden.any():
-            nothing = OrderRows.nothing(len(made.amplitude), len(hidden))
-            made = made.beside(nothing).of(
-                np.where(hidden, np.arange(len(hidden)) + len(hidden), np.arange(len(hidden)))
-            )
-        for item, place in zip(self.items, places, strict=True):
-            made = made.beside(_followed_rows(item, place, order))
-        return made
+        swept = [_followed_rows(item, place, order) for item, place in zip(self.items, places, strict=True)]
+        parts = zip(made.without(hidden), *swept, strict=True)
+        return OrderRows(*(np.concatenate(values, axis=1) for values in parts))
 
     def met(self, order: float, others: Sequence[float] = ()) -> list[PartedRow]:
         """Rows of the map in which ``order``, told from ``others`` close to it, meets lines of one frequency."""
@@ -304,7 +297,10 @@ class TrackReader:
         held: list[HeldSizes] = []
         total, count = np.zeros(shape), np.zeros(shape)
         for item, rows in zip(self._used, self._row_of_frames, strict=True):
-            squared = np.abs(self._phasors(item, used, solve)) ** 2
+            # bins turned to the middles of the frames
+            revs = float(item.attrs["revs_per_frame"])
+            turn = np.exp(2j * np.pi * (np.outer(item["crank_angle"].values + 0.5 * revs, used) / revs % 1.0))
+            squared = np.abs((item["spectrum"].values[:, :, used] * turn) @ solve / self._unit) ** 2
             seen = np.isfinite(squared)
             for row in [] if item.attrs.get("swept", 0) else np.unique(rows).tolist():
                 own = squared[:, (rows == row) & seen.all(axis=0)]
@@ -330,13 +326,6 @@ class TrackReader:
         weighted = np.linalg.solve(noise, lobes)
         covariance = np.linalg.inv(lobes.T @ weighted)
         return used, (covariance @ weighted.T)[0], float(covariance[0, 0])
-
-    def _phasors(self, item: xr.Dataset, used: Ints, solve: Floats) -> Complexes:
-        """Bins ``used`` of the frames of ``item``, turned to their middles, weighted by ``solve``."""
-        revs = float(item.attrs["revs_per_frame"])
-        centre = item["crank_angle"].values + 0.5 * revs
-        values = item["spectrum"].values[:, :, used] * np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
-        return np.asarray((values @ solve) / self._unit)
 
 
 def _place_in(item: xr.Dataset, order: float) -> int:
@@ -421,7 +410,7 @@ def order_tracks(
     outside = asked > axis[-1] + 0.5 * resolution
     at = np.argsort(reader.speed_rpm, kind="stable")
     rows = [reader.rows(order, [other for other in orders if other != order]) for order in orders]
-    values = {item.name: [getattr(one, item.name)[:, at] for one in rows] for item in fields(OrderRows)}
+    values = {name: [getattr(one, name)[:, at] for one in rows] for name in OrderRows._fields}
     band = _band_rms(order_map, asked, settings.band_width_orders)
     nearest = reader.nearest_row_of_map(at)
     values["band_rms"] = [band[:, nearest, number] for number in range(len(orders))]

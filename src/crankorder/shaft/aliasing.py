@@ -14,9 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from crankorder.errors import RequestError
 from crankorder.quantities import Bools, Floats, Ints
-from crankorder.shaft.pulses import Remark
 
 # A fold is taken for found where chance would make so few of it in a test.
 FALSE_ALIASES = 0.01
@@ -58,11 +56,6 @@ class Alias:
     false_aliases: float
     evidence: str
 
-    @property
-    def remark(self) -> Remark:
-        """The fold as (flag, severity, detail)."""
-        return ("folded_frequency", "suspect", self.evidence)
-
 
 def aliased_order(order: npt.ArrayLike, samples_per_rev: float) -> Floats:
     """Orders at which lines at ``order`` (any shape) show when sampled ``samples_per_rev`` times a revolution."""
@@ -87,16 +80,14 @@ def aliased_lines(
     shown_to_order : highest order that is looked at; a fold beyond it disturbs nobody
     """
     speed = np.asarray(speeds_rpm, dtype=np.float64)
-    if not samples_per_rev > 0.0 or not np.all(speed > 0.0):
-        raise RequestError("no such sampling", place="folding", allowed="samples per revolution and speeds above 0")
     lines = []
     for frequency_hz in frequencies_hz:
         true = 60.0 * frequency_hz / speed
         shown = aliased_order(true, samples_per_rev)
-        folds = (true > 0.5 * samples_per_rev) & (shown <= shown_to_order)
-        if folds.any():
-            lines.append(AliasedLine(float(frequency_hz), speed, shown, folds))
-    return lines
+        lines.append(
+            AliasedLine(frequency_hz, speed, shown, (true > 0.5 * samples_per_rev) & (shown <= shown_to_order))
+        )
+    return [line for line in lines if line.folds.any()]
 
 
 def find_aliases(
@@ -117,28 +108,19 @@ def find_aliases(
 
     Parameters
     ----------
-    speed_rpm : (points,), rpm, speed at which each line was found
+    speed_rpm : (points,), rpm, above 0, speed at which each line was found
     order : (points,), its order there, 0 to ``shown_to_order``; lines of the shaft among them
     samples_per_rev : samples per crank revolution
     order_error : how well an order is known, above 0; more finds more and proves less
     shown_to_order : highest order in which lines were sought, up to samples_per_rev / 2
     highest_hz : highest frequency that the sensors let pass, up to which unnamed frequencies are sought
     frequencies_hz : frequencies that the test is known to have; looked for first, as few they prove more
-
-    Raises
-    ------
-    RequestError where the points do not fit each other.
     """
-    if speed_rpm.shape != order.shape or not order_error > 0.0 or not np.all(speed_rpm > 0.0):
-        raise RequestError(
-            "no such lines", place="folding", allowed="a speed above 0 for every order, an error above 0"
-        )
     track = _Track(speed_rpm, order, samples_per_rev, order_error, min(shown_to_order, 0.5 * samples_per_rev))
     free = ~_staying(speed_rpm, order, order_error)
     folds = []
     for f in frequencies_hz:
-        fold = track.fold(float(f), free, tried=max(1, len(frequencies_hz)))
-        if fold is not None:
+        if (fold := track.fold(f, free, tried=len(frequencies_hz))) is not None:
             folds.append(fold)
             free[fold.points] = False
     folds += _unnamed(track, free, highest_hz)
@@ -237,14 +219,5 @@ def _proposed(track: _Track, free: Bools, lowest_hz: float, highest_hz: float) -
 
 def _staying(speed_rpm: Floats, order: Floats, order_error: float) -> Bools:
     """Which points (points,) stay at one order over most speeds: lines of the shaft."""
-    n_speeds, staying = np.unique(speed_rpm).size, np.zeros(order.size, dtype=np.bool_)
-    sequence = np.argsort(order, kind="stable")
-    first = 0
-    while first < order.size and n_speeds > 1:
-        limit = order[sequence[first]] + 2.0 * order_error
-        last = first + int(np.searchsorted(order[sequence[first:]], limit, side="right"))
-        group = sequence[first:last]
-        stays = np.unique(speed_rpm[group]).size > max(1.0, ORDER_SHARE * n_speeds)
-        staying[group] |= stays
-        first = last if stays else first + 1
-    return staying
+    seen_at = [np.unique(speed_rpm[np.abs(order - at) <= order_error]).size for at in order.tolist()]
+    return np.array(seen_at, dtype=np.float64) > max(1.0, ORDER_SHARE * np.unique(speed_rpm).size)

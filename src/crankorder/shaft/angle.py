@@ -85,7 +85,8 @@ def angle_knots(
     if place[-1] + 1 > place.size:  # the time of a tooth without a pulse is bridged, and weighs nothing
         grid, weight = np.interp(np.arange(place[-1] + 1), place, grid), np.zeros(place[-1] + 1)
         weight[place] = 1.0
-    noise = max(noise_from_differences(grid[weight > 0]) if noise_s is None else noise_s, _resolution_s(time_s))
+    noise = noise_from_differences(grid[place], tooth) if noise_s is None else noise_s
+    noise = max(noise, _resolution_s(time_s))
     spacing = weight.size / tooth.size
     kept = min(settings.kept_order * spacing / teeth_per_rev, CARRIED_CUT_OFF)
     floor = max(LOWEST_CUT_OFF * spacing ** (5 / 6), kept)

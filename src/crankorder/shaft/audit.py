@@ -21,12 +21,10 @@ from crankorder.shaft.angle import knots_of, time_at
 from crankorder.shaft.pulses import Remark
 from crankorder.shaft.smoother import HIGHEST_CUT_OFF
 
-# Cycles whose common motion is looked at, points of a revolution that show it, frames that are looked at for steps.
-MOST_CYCLES, MOST_POINTS, MOST_FRAMES = 64, 256, 64
+# Cycles whose common motion is looked at, and points of a revolution that show it.
+MOST_CYCLES, MOST_POINTS = 64, 256
 # Harmonics of the sawtooth that rounding makes; images of a motion on either side that interpolation leaves.
 STEP_HARMONICS, IMAGES = 8, 2
-# A tone smaller than this share of the random error is lost in it.
-TONE_SHARE = 0.3
 # Motion is told from noise by so many standard deviations of its mean over the cycles.
 SURE_DEVIATIONS = 4.0
 # Share of the noise of one pulse that motion may have and yet be smoothed away, by the rule that finds the cut-off.
@@ -39,14 +37,12 @@ DEEPEST_RAD = 1.8412
 class Modulation:
     """Error of the crank angle from one ``cause``, and what it does to a line.
 
-    ``random_rev``: standard deviation of what is random within a frame. ``still_rev``: amplitude, over all phases of
-    its source, of what stands still. ``tone_rev`` (tones,): amplitudes of what swings at ``tone_order`` (tones,),
-    cycles per crank revolution.
+    ``random_rev``: standard deviation of what is random within a frame. ``tone_rev`` (tones,): amplitudes of what
+    swings at ``tone_order`` (tones,), cycles per crank revolution.
     """
 
     cause: str
     random_rev: float = 0.0
-    still_rev: float = 0.0
     tone_order: Floats = field(default_factory=lambda: np.empty(0))
     tone_rev: Floats = field(default_factory=lambda: np.empty(0))
 
@@ -191,66 +187,8 @@ def unseen_motion(reference: Reference, motion: Mapping[float, float]) -> Modula
     """Error from in-cycle ``motion`` (amplitude [rev] by order) between and at the pulses of ``reference``."""
     parts = [reference.error_of_motion(at, size) for at, size in sorted(motion.items())]
     order, size = np.concatenate([np.empty((2, 0)), *parts], axis=1)
-    still, matters = order < 1e-6, size > 1e-3 * size.max(initial=0.0)
-    return Modulation(
-        "motion between the pulses",
-        still_rev=float(np.sum(size[still])),
-        tone_order=order[~still & matters],
-        tone_rev=size[~still & matters],
-    )
-
-
-def rounding_in_step(
-    shaft: xr.Dataset, reference: Reference, seen: Mapping[float, float], *, revs_per_frame: float
-) -> Modulation:
-    """Error from rounding edges to samples where the sampling is in step with the teeth, in the frame of the largest.
-
-    Rounding is a sawtooth of the samples per tooth s: its harmonic h swings with 1 / (pi h) samples at |h s - n| cycles
-    per tooth (Bennett 1948). What passes the smoother and is above the noise counts; motion within the cycle (``seen``)
-    and change of speed within a frame of ``revs_per_frame`` spread it. ``reference`` is that of ``shaft``.
-    """
-    cause = "rounding in step"
-    if not reference.edge_step_s > 0.0:
-        return Modulation(cause)
-    knots = knots_of(shaft)
-    revs = float(np.ptp(knots["knot_angle_rev"]))
-    frames = max(1, min(MOST_FRAMES, int(revs / revs_per_frame)))
-    ends = time_at(np.linspace(knots["knot_angle_rev"][0], knots["knot_angle_rev"][-1], frames + 1), **knots)
-    samples = np.diff(ends) * frames / (revs * reference.teeth_per_rev * reference.edge_step_s)
-    change = np.abs(np.gradient(samples)) * frames * revs_per_frame / revs if frames > 1 else np.zeros(1)
-    teeth = revs_per_frame * reference.teeth_per_rev
-    h = np.arange(1.0, STEP_HARMONICS + 1.0)[:, None]
-    swing = h * samples * reference.teeth_per_rev * math.hypot(0.0, *seen.values())
-    # a frame tells the place of a line to half a cycle, and so do its ends the samples per tooth
-    drift = np.where(h * change * teeth > 2.0, h * change, 0.0)
-    spread = (1.0 + 4.0 * np.pi * swing) * (1.0 + drift * teeth)
-    ways = math.hypot(0.0, *(order * size for order, size in seen.items()))
-    place, reach = np.abs(h * samples - np.rint(h * samples)), 2.0 * np.pi * h * samples * ways + 0.5 * drift
-    size = np.sqrt(_passed(reference, place, reach)) / (np.pi * h * samples * reference.teeth_per_rev)
-    size[size < reference.error_rev] = 0.0
-    # rounding is in the noise of the pulses already, as if it were random
-    random = np.sqrt(np.maximum(0.5 * np.sum(size**2 * (1.0 - 1.0 / spread), axis=0) - reference.error_rev**2, 0.0))
-    size /= np.sqrt(spread)
-    size[size < TONE_SHARE * reference.error_rev] = 0.0
-    still = place * teeth < 0.5
-    swings = np.where(still, 0.0, size).sum(axis=0)
-    worst = int(np.argmax(swings if swings.any() else size.sum(axis=0)))
-    counts = (size[:, worst] > 0.0) & ~still[:, worst]
-    return Modulation(
-        cause,
-        random_rev=float(random[worst]),
-        still_rev=float(np.sum(size[still[:, worst], worst])),
-        tone_order=place[counts, worst] * reference.teeth_per_rev,
-        tone_rev=size[counts, worst],
-    )
-
-
-def _passed(reference: Reference, place: Floats, reach: Floats) -> Floats:
-    """Share of the power of a line at ``place``, swept by ``reach`` to either side, that passes the smoother."""
-    cut_off = min(0.5, reference.cut_off_order / reference.teeth_per_rev)
-    within = np.clip(np.minimum(place + reach, cut_off) - np.maximum(place - reach, -cut_off), 0.0, None)
-    swept = np.minimum(1.0, within / np.maximum(2.0 * reach, 1e-12))
-    return np.asarray(np.where(reach > 0.1 * cut_off, swept, reference.smoothing(place) ** 2))
+    matters = (order > 1e-6) & (size > 1e-3 * size.max(initial=0.0))  # at order 0 the angle is off, and swings not
+    return Modulation("motion between the pulses", tone_order=order[matters], tone_rev=size[matters])
 
 
 # Orders among which the highest that is carried is sought, 0.8 % apart.
@@ -262,7 +200,7 @@ class ReferenceAudit:
     """What the reference of a crank angle does to its orders.
 
     Up to ``highest_carried_order`` neither loss nor sideband is above the limit; NaN where the angle has no error of
-    its own. ``causes``: noise, unseen motion and rounding, apart. ``remarks``: (flag, severity, detail) of each.
+    its own. ``causes``: noise and unseen motion, apart. ``remarks``: (flag, severity, detail) of each.
     """
 
     highest_carried_order: float
@@ -271,11 +209,7 @@ class ReferenceAudit:
 
 
 def reference_audit(
-    shaft: xr.Dataset,
-    *,
-    orders: Sequence[float] | Floats,
-    revs_per_frame: float,
-    settings: ShaftSettings,
+    shaft: xr.Dataset, *, orders: Sequence[float] | Floats, revs_per_frame: float, settings: ShaftSettings
 ) -> ReferenceAudit:
     """What the reference of a crank angle carries, with remarks where it must be expected to bias one of ``orders``.
 
@@ -299,16 +233,13 @@ def reference_audit(
     causes = (
         pulse_noise(reference, revs_per_frame=revs_per_frame),
         unseen_motion(reference, expected_motion(reference, seen, percent=percent)),
-        rounding_in_step(shaft, reference, seen, revs_per_frame=revs_per_frame),
     )
     carried = _carried(causes, settings.reference_bias_limit)
     told = "as the motion seen lets expect" if seen else f"if {percent:g} % of the speed swings at order 1"
-    remarks: list[Remark] = []
+    remarks: tuple[Remark, ...] = ()
     if order.size and order.max() > carried:
-        remarks.append(_limits(causes, order.max(), carried, reference, told, settings.reference_bias_limit))
-    if order.size and (causes[2].tone_rev.size or causes[2].still_rev > 0.0):
-        remarks.append(_steps(causes[2], order.max(), settings.reference_bias_limit))
-    return ReferenceAudit(highest_carried_order=carried, causes=causes, remarks=tuple(remarks))
+        remarks = (_limits(causes, order.max(), carried, reference, told, settings.reference_bias_limit),)
+    return ReferenceAudit(highest_carried_order=carried, causes=causes, remarks=remarks)
 
 
 def _loss(causes: Sequence[Modulation], order: Floats) -> Floats:
@@ -341,26 +272,6 @@ def _limits(
         f"{lowest:g} and above shows, 1 % of which would cost order {top:g} {_percent(one_percent.loss(at)[0])}"
     )
     return ("reference_limits_orders", "info", detail)
-
-
-def _steps(step: Modulation, top: float, limit: float) -> Remark:
-    """Remark that the sampling is in step with the pulses, with what that does to order ``top``."""
-    at = np.full(1, top)
-    if not step.tone_rev.size:
-        detail = (
-            f"sampling and pulses are in step: every edge is off alike, by up to {360.0 * step.still_rev:.2g}°, which "
-            f"turns the phase of order {top:g} by up to {360.0 * top * step.still_rev:.2g}°"
-        )
-        return ("reference_in_step", "info", detail)
-    first = int(np.argmax(step.tone_rev))
-    from_order = _carried([step], limit)
-    reach = f"more than {_percent(limit)} from order {from_order:.3g}" if from_order < math.inf else "nowhere much"
-    detail = (
-        f"sampling and pulses are nearly in step: edges are off by a pattern of {360.0 * step.tone_rev[first]:.2g}° "
-        f"that comes back at order {step.tone_order[first]:.3g}; so far beside a line at order {top:g} stands "
-        f"{_percent(step.sideband(at)[0])} of it, {reach}"
-    )
-    return ("reference_in_step", "info", detail)
 
 
 def _percent(share: float) -> str:

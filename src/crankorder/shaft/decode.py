@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -28,16 +28,7 @@ from crankorder.shaft.repair import FEW_PULSES, running_parts
 from crankorder.shaft.speeds import swing_remarks
 from crankorder.shaft.tooth_errors import stated_teeth, tooth_errors, tooth_remark, without_tooth_errors
 from crankorder.shaft.uneven_wheel import Wheel
-from crankorder.shaft.wheel import (
-    MOST_NOISE_TEETH,
-    NumberedTeeth,
-    number_teeth,
-    stated_wheel,
-    times_of,
-    undersampled,
-    uneven_noise_s,
-    wrapped,
-)
+from crankorder.shaft.wheel import NumberedTeeth, number_teeth, stated_wheel, times_of, undersampled, wrapped
 
 # Marks are the same tooth of the camshaft within this much of a crank revolution: variable timing moves it by 0.14.
 SAME_MARK_REV = 0.1
@@ -174,7 +165,7 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     parts, left_out = [slice(None)], list[Remark]()
     if pulse_s.size > 2 and (np.diff(pulse_s) >= 0.0).all():
         parts, left_out = running_parts(pulse_s, pulses_per_rev=per_rev, gap=wheel.widest_gap, joined=True)
-    decoded, runs = list[_Decoded](), list[ShaftRun]()
+    runs: list[_PulseRun] = []
     # at rest a few pulses come further and further apart, which no even smoothing follows
     smooth = len(parts) == 1 or wheel.places.size > FEW_PULSES
     for part in parts:
@@ -188,35 +179,45 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
             )
             left_out.append(("encoder_part_unused", "suspect", detail))
             continue
-        ends_s = (float(run.teeth.time_s[0]), float(run.teeth.time_s[-1]))
-        first, last = (int(pulse) for pulse in (part.start or 0) + np.searchsorted(pulse_s[part], ends_s))
-        period = float(recording.attrs["revs_per_cycle"]) if run.cycle_known else 1.0
-        runs.append(ShaftRun(run.knots, ends_s, first, last, 0.0 if run.reference == "none" else period))
-        decoded.append(run)
+        runs.append(run)
     knots = joined(runs, per_rev)
-    if len(runs) > 1 and any(run.reference == "none" for run in decoded):
+    if len(runs) > 1 and any(run.reference == "none" for run in runs):
         detail = "no mark tells the angle again after the standstill: between the runs the pulses are counted"
         left_out.append(("standstill_phase", "info", detail))
-    return _shaft_of(recording, decoded, knots, [*remarks, *left_out], settings)
+    return _shaft_of(recording, runs, knots, [*remarks, *left_out], settings)
 
 
 @dataclass(frozen=True)
-class _Decoded:
-    """One run: its teeth and their errors, knots with the angle from top dead centre, what that rests on, remarks."""
+class ShaftRun:
+    """Knots of one run between standstills, the times of its first and last pulse, and how its angle is known.
+
+    ``first`` and ``last`` number these pulses among all of the recording; ``period_rev`` are the turns after which its
+    mark comes again, 0 where it has none.
+    """
+
+    knots: AngleKnots
+    ends_s: tuple[float, float]
+    first: int
+    last: int
+    period_rev: float
+
+
+@dataclass(frozen=True)
+class _PulseRun(ShaftRun):
+    """A run with its teeth, what the angle of its knots from top dead centre rests on, remarks, and errors of teeth."""
 
     teeth: NumberedTeeth
-    knots: AngleKnots
     cycle_known: bool
     reference: str
     remarks: list[Remark]
     teeth_stated: dict[str, Attribute]
 
 
-def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part: slice, *, smooth: bool) -> _Decoded:
-    attrs = recording.attrs
+def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part: slice, *, smooth: bool) -> _PulseRun:
+    attrs, pulse_s = recording.attrs, recording.variables["pulse_time"].values[part].astype(np.float64, copy=False)
     stated, ratio = float(attrs.get("pulse_noise_s", 0.0)), float(attrs.get("ratio", 1.0))
     teeth = number_teeth(
-        recording.variables["pulse_time"].values[part].astype(np.float64, copy=False),
+        pulse_s,
         wheel,
         settings=settings,
         index_time_s=times_of(recording, "index_time"),
@@ -230,8 +231,6 @@ def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part
         teeth = without_tooth_errors(teeth, wrong)
     teeth_per_rev = teeth.teeth_per_rev * ratio
     noise = stated or None
-    if noise is None and np.ptp(np.diff(teeth.tooth[:MOST_NOISE_TEETH])) > 0:
-        noise = uneven_noise_s(teeth.time_s, teeth.tooth)
     knots = angle_knots(
         teeth.time_s, teeth.tooth, teeth_per_rev=teeth_per_rev, noise_s=noise, settings=settings, smooth_times=smooth
     )
@@ -250,11 +249,14 @@ def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part
     turns = period * np.ceil((teeth.tooth[0] / teeth_per_rev - tdc) / period - 1e-9)
     knots = replace(knots, angle_rev=knots.angle_rev - tdc - turns)
     known = stated_teeth(wrong, ratio=ratio, tdc_rev=tdc)
-    return _Decoded(teeth, knots, cycle_known, reference, remarks, known)
+    ends_s = (float(teeth.time_s[0]), float(teeth.time_s[-1]))
+    first, last = ((part.start or 0) + np.searchsorted(pulse_s, ends_s)).tolist()
+    returns = 0.0 if reference == "none" else float(period)
+    return _PulseRun(knots, ends_s, first, last, returns, teeth, cycle_known, reference, remarks, known)
 
 
 def _shaft_of(
-    recording: xr.Dataset, runs: list[_Decoded], knots: AngleKnots, remarks: list[Remark], settings: ShaftSettings
+    recording: xr.Dataset, runs: list[_PulseRun], knots: AngleKnots, remarks: list[Remark], settings: ShaftSettings
 ) -> ShaftAngle:
     """ShaftAngle on the ``knots`` of all ``runs``, which knows of its phase what each of them knows.
 
@@ -411,22 +413,7 @@ STEP_SHARE = 1e-3
 """Share of a knot interval over which the speed at a pulse is differenced."""
 
 
-@dataclass(frozen=True)
-class ShaftRun:
-    """Knots of one run between standstills, the times of its first and last pulse, and how its angle is known.
-
-    ``first`` and ``last`` number these pulses among all of the recording; ``period_rev`` are the turns after which its
-    mark comes again, 0 where it has none.
-    """
-
-    knots: AngleKnots
-    ends_s: tuple[float, float]
-    first: int
-    last: int
-    period_rev: float
-
-
-def joined(runs: list[ShaftRun], teeth_per_rev: float) -> AngleKnots:
+def joined(runs: Sequence[ShaftRun], teeth_per_rev: float) -> AngleKnots:
     """Knots of all ``runs`` in turn, on the angle of the first.
 
     Between two of them the shaft turns by the pulses between, of which ``teeth_per_rev`` make a revolution, to the

@@ -14,7 +14,7 @@ angle is that of pulses, with the repair, smoothing and errors of pulses.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -48,8 +48,8 @@ FIRST_BLOCK = 512
 OVERLAP_SHARE = 0.3
 # Blocks of a trace with one pulse per revolution whose extremes tell how high it is.
 MARK_BLOCKS = 16
-# A square wave is cut so many samples at a time, a multiple of 64; the list of a pickup's pulses begins so long.
-PIECE_SAMPLES, FIRST_PULSES = 1 << 20, 1 << 16
+# Pulses for which there is room at first.
+FIRST_PULSES = 1 << 16
 # Samples that are enough to find the two levels of a trace.
 LEVEL_SAMPLES = 1 << 17
 # A trace has two levels where this share of the samples on either side of the middle lies within LEVEL_WIDTH of the
@@ -116,24 +116,17 @@ def find_pulses(
     square = kind == "square" or _is_two_level(some, *levels)
     if square:
         half = 0.5 * settings.hysteresis_fraction * (high - low)
-        pieces = _fired_square(samples, sign, 0.5 * (low + high), half)
+        at, level, n_missing = _fired_square(samples, sign, 0.5 * (low + high), half)
     else:
         extremes = sorted(sign * level for level in _mark_levels(samples)) if pulses_per_rev == 1 else None
         low, high, rest, share, sure = _pickup_levels(sign * some, settings.pickup_level_fraction, extremes)
-        fired = _fired_pickup(
+        at, level, n_missing = _fired_pickup(
             samples, sign, low, high, rest, share, settings.hysteresis_fraction, sure, settings.envelope_teeth
         )
-        pieces = iter([fired])
     settled_at = (low + SETTLED_SHARE * (high - low), high - SETTLED_SHARE * (high - low))
-    positions: list[Floats] = []
-    settled = n_missing = 0
-    for fired, level, missing in pieces:
-        crossed = np.empty(fired.size)
-        n, n_settled = _cross(samples, sign, fired, level, *settled_at, crossed)
-        positions.append(crossed[:n])
-        settled, n_missing = settled + n_settled, n_missing + missing
-    position = positions[0] if len(positions) == 1 else np.concatenate(positions)
-    n = position.size
+    position = np.empty(at.size)
+    n, settled = _cross(samples, sign, at, level, *settled_at, position)
+    position = position[:n]
     if n == 0:
         raise _no_pulses(edge, pulses_per_rev, f"levels {levels[0]:g} and {levels[1]:g}")
     variance = settled * QUANTISED_EDGE_SAMPLES**2 + (n - settled) * INTERPOLATED_EDGE_SAMPLES**2
@@ -141,27 +134,13 @@ def find_pulses(
     how = "quantised" if 2 * settled > n else "interpolated"
     detail = f"{settled} of {n} edges lie between settled samples: pulse noise {noise_samples:.3g} samples"
     flags: list[Remark] = [(f"encoder_edge_{how}", "info", detail)]
-    spread = _spread(some, *levels) if square else 0.0
-    if spread > OVERLAP_SHARE:
+    if square and (spread := _spread(some, *levels)) > OVERLAP_SHARE:
         detail = f"not a square wave: its two levels scatter by {spread:.2f} of their distance"
         flags.append(("encoder_unclear", "suspect", detail))
     if n_missing:
         flags.append(("encoder_gap", "suspect", f"{n_missing} of {samples.size} encoder samples are not a number"))
     position /= rate_hz
     return Pulses(time_s=position, noise_s=noise_samples / rate_hz, flags=flags)
-
-
-def _fired_square(
-    samples: npt.NDArray[Any], sign: float, middle: float, half: float
-) -> Iterator[tuple[Ints, Floats, int]]:
-    """Samples at which ``sign * samples`` fires, the level to cut, and the count of NaN, piece by piece."""
-    at = np.empty(min(samples.size, PIECE_SAMPLES) // 2 + 2, dtype=np.int64)
-    carry = 1
-    for first in range(0, samples.size, PIECE_SAMPLES):
-        piece = samples[first : first + PIECE_SAMPLES]
-        n, n_missing, carry = _fire(piece, sign, middle - half, middle + half, np.uint64(carry), at)
-        at[:n] += first
-        yield at[:n], np.full(n, middle), n_missing
 
 
 def _no_pulses(edge: str, pulses_per_rev: int, found: str) -> NoPulsesError:
@@ -201,58 +180,28 @@ def _levels(trace: npt.NDArray[Any], low: float, high: float) -> tuple[float, fl
         low, high = float(trace.min()), float(trace.max())
     if ((trace == low) | (trace == high)).all():
         return low, high
-    total = float(np.sum(trace, dtype=np.float64))
     for _ in range(2):
-        middle = trace.dtype.type(0.5 * (low + high))
-        n_above = int(np.count_nonzero(trace > middle))
-        if not 0 < n_above < trace.size:
-            break
-        above = float(np.sum(np.maximum(trace, middle), dtype=np.float64)) - float(middle) * (trace.size - n_above)
-        low, high = (total - above) / (trace.size - n_above), above / n_above
-        if 0.5 * (low + high) == middle:
-            break
+        above = trace > 0.5 * (low + high)
+        if above.any() and not above.all():
+            low, high = (float(np.mean(side, dtype=np.float64)) for side in (trace[~above], trace[above]))
     return low, high
 
 
 @njit(cache=True, nogil=True)
-def _fire(trace, sign, arm, fire, carry, at):  # type: ignore[no-untyped-def]
-    """Fill ``at`` with the first samples of ``sign * trace`` above ``fire`` since it was below ``arm``.
-
-    ``carry`` is 1 at the start, then as the piece of a multiple of 64 samples before gave it. Returns how many there
-    are, how many samples are NaN, and the carry.
-
-    64 samples at a time, one bit each. A sample above ``fire`` sets the state, one below ``arm`` clears it, any other
-    hands it on: so does the carry in the sum of the bits that do not clear and those that set.
-    """
-    one = np.uint64(1)
-    n, missing = 0, 0
-    for first in range(0, trace.size, 64):
-        part = trace[first : first + 64]
-        sets, clears = np.uint64(0), np.uint64(0)
-        for j in range(part.size):
-            value = sign * part[j]
-            sets |= np.uint64(value > fire) << np.uint64(j)
-            clears |= np.uint64(value < arm) << np.uint64(j)
-            missing += value != value
-        partial = ~clears + sets
-        total = partial + carry
-        fires = sets & ~(total ^ ~clears ^ sets)
-        carry = np.uint64((partial < sets) | (total < partial))
-        while fires:
-            lowest = fires & (~fires + one)
-            at[n] = first + _bits(lowest - one)
-            n += 1
-            fires ^= lowest
-    return n, missing, carry
-
-
-@njit(inline="always")
-def _bits(word):  # type: ignore[no-untyped-def]
-    """How many bits of ``word`` are set (Warren 2013, figure 5-2)."""
-    word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
-    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
+def _fired_square(trace, sign, middle, half):  # type: ignore[no-untyped-def]
+    """First samples of ``sign * trace`` ``half`` above the ``middle`` since half below; that for each; count of NaN."""
+    at, n, missing, armed, low, high = np.empty(FIRST_PULSES, dtype=np.int64), 0, 0, False, middle - half, middle + half
+    for i in range(trace.size):
+        value = sign * trace[i]
+        missing += value != value
+        if value < low:
+            armed = True
+        elif armed and value > high:
+            if n == at.size:
+                at = np.concatenate((at, at))  # as much room again
+            at[n] = i
+            n, armed = n + 1, False
+    return at[:n].copy(), np.full(n, middle), missing
 
 
 def _some(samples: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -108,12 +108,6 @@ def running_parts(
     return used, flags
 
 
-def running_part(time_s: Floats, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
-    """The longest of the :func:`running_parts` of ``time_s``, and remarks; ``pulses_per_rev`` and ``gap`` as there."""
-    parts, flags = running_parts(time_s, pulses_per_rev=pulses_per_rev, gap=gap)
-    return parts[0], flags
-
-
 def _turning_points(step: Floats) -> list[int]:
     """Intervals of a few pulses per revolution that are far longer than those beside, into which the shaft slows."""
     longer = [
@@ -296,13 +290,8 @@ ON_BEST = 1 << 32
 @njit(cache=True, nogil=True)
 def _follow(time_s, log_span, clean, ways, after, nodes, n_ways):  # type: ignore[no-untyped-def]
     """Follow all ``ways``, of which ``after`` takes those over one pulse more; nodes, and how many ways are left."""
-    n_nodes, i, slot = n_ways, 0, np.empty(log_span.shape[0], dtype=np.int64)
-    while True:
-        if n_ways == 1 and i > 0 and ways[0].last == i:
-            i, n_nodes = _run_on(time_s, log_span, clean, ways[0], i, nodes, n_nodes)
-        i += 1
-        if i >= time_s.size:
-            return nodes, n_ways
+    n_nodes, slot = n_ways, np.empty(log_span.shape[0], dtype=np.int64)
+    for i in range(1, time_s.size):
         if n_nodes + 2 * ways.size + time_s.size - i > nodes.shape[1]:
             nodes = np.concatenate((nodes, nodes), axis=1)  # as much room again
         slot[:] = -1
@@ -310,27 +299,7 @@ def _follow(time_s, log_span, clean, ways, after, nodes, n_ways):  # type: ignor
         for way in range(n_ways):
             k, n_nodes = _continued(time_s, log_span, clean, i, ways[way], after, k, slot, nodes, n_nodes)
         n_ways, n_nodes = _prune(ways, after, k, i, nodes, n_nodes)
-
-
-@njit(cache=True, nogil=True)
-def _run_on(time_s, log_span, clean, way, i, nodes, n_nodes):  # type: ignore[no-untyped-def]
-    """Take the only way as far as nothing is in question; the last pulse, and how many nodes there are."""
-    tooth, node, slow, cost = way.tooth, way.node, way.slow, way.cost
-    while i + 1 < time_s.size:
-        step = time_s[i + 1] - time_s[i]
-        if not step > 0.0:
-            break
-        change = np.log(step) - log_span[tooth, 0] - slow
-        if not abs(change) < clean:
-            break
-        way.tooth_0, way.last_0, way.node_0, way.moved, way.slow_0, way.cost_0 = tooth, i, node, 1, slow, cost
-        i += 1
-        nodes[PARENT, n_nodes], nodes[PULSE, n_nodes], nodes[MOVED, n_nodes] = node, i, 1
-        node, n_nodes = n_nodes, n_nodes + 1
-        tooth = tooth + 1 if tooth + 1 < log_span.shape[0] else 0
-        slow, cost = slow + FOLLOWED_SHARE * change, cost + abs(change)
-    way.tooth, way.last, way.node, way.slow, way.cost = tooth, i, node, slow, cost
-    return i, n_nodes
+    return nodes, n_ways
 
 
 @njit(cache=True, nogil=True)

@@ -16,8 +16,9 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.lib.stride_tricks import sliding_window_view
 
-from crankorder.quantities import Floats
+from crankorder.quantities import Floats, Ints
 
 # Pulses in a block on which the cut-off is sought, and the most blocks that are looked at.
 BLOCK_PULSES, MAX_BLOCKS = 2048, 12
@@ -33,14 +34,22 @@ SETTLED, SETTLED_SHARE, SETTLED_VARIANCE = 1e-4, 1e-11, 1e-11
 SEARCH_FACTOR = 2.0**0.25
 
 
-def noise_from_differences(time_s: Floats) -> float:
-    """Standard deviation of pulse times ``time_s`` (pulses,) [s] from their fourth differences, by the median."""
+def noise_from_differences(time_s: Floats, tooth: Ints) -> float:
+    """Standard deviation [s] of pulse times, from their fourth divided differences by the tooth, by the median.
+
+    ``time_s`` (pulses,) [s] of the teeth numbered ``tooth`` (pulses,), which grow. Of a long train a few blocks do.
+    """
     if time_s.size < 8:
         return 0.0
     if time_s.size > MAX_BLOCKS * BLOCK_PULSES:
         starts = np.linspace(0, time_s.size - BLOCK_PULSES, MAX_BLOCKS).astype(int)
-        time_s = time_s[starts[:, None] + np.arange(BLOCK_PULSES)]
-    return float(np.median(np.abs(np.diff(time_s, n=4)))) / (0.6745 * math.sqrt(70.0))
+        some = starts[:, None] + np.arange(BLOCK_PULSES)
+        time_s, tooth = time_s[some], tooth[some]
+    times, teeth = (sliding_window_view(values, 5, axis=-1) for values in (time_s, tooth))
+    apart = (teeth[..., :, None] - teeth[..., None, :]).astype(np.float64)
+    weight = 1.0 / np.prod(apart + np.eye(5), axis=-1)
+    change = np.sum(weight * (times - times[..., :1]), axis=-1)
+    return float(np.median(np.abs(change) / np.sqrt(np.sum(weight**2, axis=-1)))) / 0.6745
 
 
 def penalty_of(cut_off: float, spacing: float = 1.0) -> float:

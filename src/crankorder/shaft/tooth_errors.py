@@ -279,7 +279,10 @@ def line_pattern(
     lines = teeth_per_encoder_rev
     stop = int(np.searchsorted(tooth, tooth[0] + MOST_TEETH))
     time_s, tooth = time_s[:stop], tooth[:stop]
-    period = lines * _period_revs(ratio, revs_per_cycle)
+    # encoder revolutions in which the engine makes whole cycles; 1 where there is no such small number
+    cycles = np.arange(1, LONGEST_PERIOD_REVS + 1) / (ratio * revs_per_cycle)
+    whole = np.flatnonzero(np.abs(cycles - np.rint(cycles)) < 1e-9)
+    period = lines * (int(whole[0]) + 1 if whole.size else 1)
     place = tooth - tooth[0]
     tooth_s = float((time_s[-1] - time_s[0]) / place[-1])
     rest = (time_s - time_s[0]) - tooth_s * place
@@ -300,13 +303,6 @@ def line_pattern(
     steps = max(noise_s, _tick_s(time_s) / math.sqrt(12.0))
     fixed = _fixed_noise(smooth_s.reshape(n_periods, period), by_period, steps, mean_rev_s)
     return _averaged(by_period, shift, lines, fixed)
-
-
-def _period_revs(ratio: float, revs_per_cycle: int) -> int:
-    """Encoder revolutions in which the engine makes whole cycles; 1 where there is no such small number."""
-    cycles = np.arange(1, LONGEST_PERIOD_REVS + 1) / (ratio * revs_per_cycle)
-    whole = np.flatnonzero(np.abs(cycles - np.rint(cycles)) < 1e-9)
-    return int(whole[0]) + 1 if whole.size else 1
 
 
 def _deviation(rest_s: Floats, tooth_s: float, lines: int, period: int) -> tuple[Floats, int, Floats]:

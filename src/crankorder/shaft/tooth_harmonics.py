@@ -48,15 +48,13 @@ FRAMES_AT_ONCE = 256
 class SpeedEvidence:
     """Log odds (knots, speeds) of a comb of orders against none, for knots ``time_s`` and speeds ``speed_hz``.
 
-    ``every`` counts lines over the noise next to them; ``moving`` only what stands above the usual power at the same
-    frequency too, so that tones and natural frequencies drop out, and so do the orders of a steady shaft.
-    ``frames_per_knot`` is the number of independent frames that a knot is worth. The speeds are even in the logarithm.
+    Lines count over the noise next to them. ``frames_per_knot`` is the number of independent frames that a knot is
+    worth. The speeds are even in the logarithm.
     """
 
     time_s: Floats
     speed_hz: Floats
-    every: Floats
-    moving: Floats
+    log_odds: Floats
     frames_per_knot: float
 
     @property
@@ -95,16 +93,15 @@ def tooth_odds(
     duration = signals.shape[1] / rate_hz
     hop = max(KNOT_SHARE * revs * ratio / high, duration / MOST_KNOTS)
     time_s = (np.arange(max(1, int(duration / hop))) + 0.5) * (duration / max(1, int(duration / hop)))
-    every, moving = (np.empty((time_s.size, speed.size), dtype=np.float32) for _ in range(2))
+    log_odds = np.empty((time_s.size, speed.size), dtype=np.float32)
     for octave in range(n_octaves):
         states = slice(octave * n_each, (octave + 1) * n_each + (octave == n_octaves - 1))
         frames = _Frames(signals, rate_hz, length_s=revs / speed[states.start], top_hz=speed[states][-1] * order[-1])
         at_frames = _log_odds(frames, speed[states], order, weight, settings.vibration_slew_per_s)
-        for target, values in zip((every, moving), at_frames, strict=True):
-            target[:, states] = _between(time_s, frames.time_s, values.T).T
+        log_odds[:, states] = _between(time_s, frames.time_s, at_frames.T).T
     spacing = duration / time_s.size
     worth = min(1.0, 1.5 * spacing / (revs / math.sqrt(low * high)))
-    return SpeedEvidence(time_s, speed, every, moving, worth)
+    return SpeedEvidence(time_s, speed, log_odds, worth)
 
 
 def _between(time_s: Floats, frame_s: Floats, values: Floats) -> Floats:
@@ -157,10 +154,8 @@ class _Frames:
         return power
 
 
-def _log_odds(
-    frames: _Frames, speed_hz: Floats, order: Floats, weight: Floats, slew_per_s: float
-) -> tuple[Floats, Floats]:
-    """Log odds (frames, speeds) over the noise beside, and over the usual power too; the best of the slews.
+def _log_odds(frames: _Frames, speed_hz: Floats, order: Floats, weight: Floats, slew_per_s: float) -> Floats:
+    """Log odds (frames, speeds) over the noise beside, the best of the slews.
 
     They are those of combs of ``order`` (orders,) that show with probability ``weight`` (orders,).
     """
@@ -170,29 +165,26 @@ def _log_odds(
     step = 2.0 * SLEW_BINS / (order[-1] * frames.length_s**2 * float(np.sqrt(speed_hz[0] * speed_hz[-1])))
     spacing = float(np.min(np.diff(order))) if order.size > 1 else 1.0
     block = max(1, round(1.5 * speed_hz[0] * spacing / frames.bin_hz))
-    floor, usual = _floors(np.concatenate([frames.power(0.0, part) for part in parts], axis=1), block)
-    above = np.maximum(floor, usual)
-    every, moving = (np.full((count, speed_hz.size), -np.inf) for _ in range(2))
+    floor = _floor_beside(np.concatenate([frames.power(0.0, part) for part in parts], axis=1), block)
+    log_odds = np.full((count, speed_hz.size), -np.inf)
     place = order * speed_hz[:, None] / frames.bin_hz
     place = np.where(order * speed_hz[:, None] <= frames.band_hz, place, -1.0)
     all_count = np.zeros(floor.shape[-1])
     for slew in np.linspace(-most, most, 2 * math.ceil(most / step) + 1):
         for part in parts:
             power = frames.power(float(slew), part)
-            for noise, best in ((floor[:, part], every), (above[:, part], moving)):
-                best_combs(power, noise, frames.peak_bins, all_count, place, weight, ODDS, best[part])
-    return every, moving
+            best_combs(power, floor[:, part], frames.peak_bins, all_count, place, weight, ODDS, log_odds[part])
+    return log_odds
 
 
-def _floors(power: Floats, block: int) -> tuple[Floats, Floats]:
-    """Noise power (channels, frames, bins) beside each bin of ``power``, and the usual power (channels, 1, bins)."""
-    usual = np.median(power, axis=1, keepdims=True) / math.log(2.0)
+def _floor_beside(power: Floats, block: int) -> Floats:
+    """Noise power (channels, frames, bins) beside each bin of ``power``."""
     n_blocks = max(1, power.shape[-1] // block)
     whole = power[..., : n_blocks * block].reshape(*power.shape[:2], n_blocks, -1)
     median = np.median(whole, axis=-1) / math.log(2.0)
     median = np.maximum(median, 1e-12 * power.max(axis=(1, 2), keepdims=True) + 1e-300)
     at = (np.arange(power.shape[-1]) + 0.5) / block - 0.5
-    return np.exp(_between(at, np.arange(n_blocks, dtype=np.float64), np.log(median))), usual
+    return np.asarray(np.exp(_between(at, np.arange(n_blocks, dtype=np.float64), np.log(median))))
 
 
 def _odds_table() -> Floats:
@@ -264,13 +256,7 @@ PROMINENCE = (1.0, 2.0)
 
 
 def family_evidence(
-    signals: Floats,
-    rate_hz: float,
-    knots: AngleKnots,
-    *,
-    ratio: Floats,
-    order: Floats,
-    weight: Floats,
+    signals: Floats, rate_hz: float, knots: AngleKnots, *, ratio: Floats, order: Floats, weight: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Log odds (ratios,) of the fundamentals at ``ratio`` times the speed of ``knots``, from the same order spectra.
 

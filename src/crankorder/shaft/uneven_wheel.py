@@ -19,13 +19,7 @@ import numpy as np
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.shaft.pattern import ToothPattern, grid_of, known_names, pattern_of
 from crankorder.shaft.pulses import Remark
-from crankorder.shaft.repair import (
-    REPAIR_COST,
-    STANDSTILL_RPM,
-    FollowedWheel,
-    followed_wheel,
-    running_part,
-)
+from crankorder.shaft.repair import REPAIR_COST, STANDSTILL_RPM, FollowedWheel, followed_wheel, running_parts
 
 # Pulses that are looked at, where the train is fastest; most teeth that are looked for; fewest revolutions seen.
 BLOCK_PULSES, MOST_TEETH, FEWEST_REVS = 3000, 400, 3
@@ -88,7 +82,7 @@ def find_pattern(time_s: Floats, *, index_time_s: Floats | None = None) -> Found
         pattern = _repeated(pattern, per_index // teeth)
     places = np.array(pattern.angles_deg) / 360.0
     widest = float(np.diff(places, append=1.0).max() * places.size)
-    part, _ = running_part(time_s, pulses_per_rev=places.size, gap=widest)
+    (part, *_), _ = running_parts(time_s, pulses_per_rev=places.size, gap=widest)
     wheel = followed_wheel(time_s[part], places, repeats=pattern.repeats)
     turn = wheel.count // places.size
     holes = np.flatnonzero((np.diff(wheel.count) != 1) | (np.diff(wheel.kept) != 1))

@@ -111,9 +111,6 @@ TIE_RATIOS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
 FEWEST_FRAMES, FEWEST_REVS, FEWEST_ORDERS = 2.0, 1.5 * FRAME_REVS, 2.0
 # Speeds within this share of the found one are the same speed.
 SAME_SPEED = 0.02
-# The run that moving lines show is a sweep, not noise, where its speeds differ by this much (in the logarithm) and its
-# log odds are this share of those of the run that all lines show.
-SWEEP_SPREAD, SWEEP_SHARE = 0.15, 0.5
 # Log odds that another fundamental must gain in a row of frames before a run is taken to have slipped to it; how far
 # beside it (in the logarithm) the run is sought again, and the log odds of what is farther.
 SWITCH, MENDED_REACH, FAR_ODDS = 8.0, 0.15, 50.0
@@ -184,19 +181,20 @@ def speed_from_vibration(
     range_hz = _range_hz(expected_rpm or settings.vibration_range_rpm, signals.shape[1], rate_hz, settings)
     evidence = tooth_odds(signals, rate_hz, range_hz=range_hz, order=order, weight=weight, settings=settings)
 
-    def explained(log_odds: Floats, path: Ints) -> _Run:
-        """The run ``path``, read between speeds of the grid, and what fundamental explains its lines."""
-        speed_hz = evidence.speed_hz[path] * np.exp(evidence.step * _parabolic(log_odds, path))
-        start = _angle_of(evidence.time_s, speed_hz, signals.shape[1] / rate_hz)
+    def explained(path: Ints) -> _Run:
+        """The run of speeds ``path``, and what fundamental explains its lines."""
+        start = _angle_of(evidence.time_s, evidence.speed_hz[path], signals.shape[1] / rate_hz)
         knots = phase_corrected(signals, rate_hz, start, order)
         ratio = _possible_ratios(knots.speed_rpm / 60.0, range_hz)
         family = family_evidence(signals, rate_hz, knots, ratio=ratio, order=order, weight=weight)
-        return _Run(log_odds, path, knots, ratio, *family)
+        return _Run(path, knots, ratio, *family)
 
-    run = explained(*_likely_run(evidence, settings))
-    path = _mended_path(run, evidence, settings)
-    if path is not None:
-        run = explained(run.log_odds, path)
+    odds, transition = evidence.log_odds * np.float32(evidence.frames_per_knot), _transition(evidence, settings)
+    run = explained(likeliest_run(odds, *transition))
+    beside = _away_from_wanted(run, evidence)
+    if beside is not None:
+        near = np.where(beside <= MENDED_REACH, odds, np.float32(-FAR_ODDS * evidence.frames_per_knot))
+        run = explained(likeliest_run(near, *transition))
     ratio, chosen = run.ratio, int(np.argmax(run.ratio_odds))
     best = float(run.ratio_odds[chosen])
     share = np.exp(run.ratio_odds - best)
@@ -208,8 +206,8 @@ def speed_from_vibration(
     # against the other fundamentals, and against no shaft at all
     others = float(share.sum()) + math.exp(-best)
     offsets = np.round(np.log(ratio) / evidence.step).astype(np.int64)
-    near, odds = math.ceil(math.log1p(SAME_SPEED) / evidence.step), run.log_odds * np.float32(evidence.frames_per_knot)
-    confidence = run_probability(odds, run.path, offsets, *_transition(evidence, settings), near) / others
+    near_states = math.ceil(math.log1p(SAME_SPEED) / evidence.step)
+    confidence = run_probability(odds, run.path, offsets, *transition, near_states) / others
     knots, times = run.knots, float(ratio[chosen])
     if times != 1.0:
         scaled = replace(knots, angle_rev=times * knots.angle_rev, speed_rpm=times * knots.speed_rpm)
@@ -286,7 +284,6 @@ class _Run:
     ``ratio_odds`` (ratios,): their log odds; ``frame_odds`` (frames, ratios): those of single frames at ``frame_s``.
     """
 
-    log_odds: Floats
     path: Ints
     knots: AngleKnots
     ratio: Floats
@@ -295,24 +292,11 @@ class _Run:
     frame_odds: Floats
 
 
-def _likely_run(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[Floats, Ints]:
-    """Log odds that decide, of all lines or of moving ones only, and the likeliest run of speeds by them."""
-    jump, cost = _transition(evidence, settings)
-    worth = np.float32(evidence.frames_per_knot)
-    knots = np.arange(evidence.time_s.size)
-    paths, score = [], []
-    for log_odds in (evidence.every, evidence.moving):
-        path = likeliest_run(log_odds * worth, jump, cost)
-        paths.append(path)
-        score.append(float(np.mean(log_odds[knots, path] - np.median(log_odds, axis=1))))
-    low, high = np.quantile(np.log(evidence.speed_hz[paths[1]]), [0.05, 0.95])
-    if high - low > SWEEP_SPREAD and score[1] > SWEEP_SHARE * score[0]:
-        return evidence.moving, paths[1]
-    return evidence.every, paths[0]
+def _away_from_wanted(run: _Run, evidence: SpeedEvidence) -> Floats | None:
+    """Distance (knots, speeds), in the logarithm, of speeds from the fundamental that each stretch of ``run`` asks for.
 
-
-def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) -> Ints | None:
-    """The likeliest run beside the fundamental that each stretch of ``run`` asks for; None where they ask for one."""
+    None where all stretches ask for one.
+    """
     log_odds = run.frame_odds
     came = np.zeros(log_odds.shape, dtype=np.int64)
     total, stay = log_odds[0], np.arange(run.ratio.size)
@@ -326,19 +310,7 @@ def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) ->
     if np.ptp(of_frame) == 0:
         return None
     wanted = np.log(np.interp(run.frame_s, run.knots.time_s, run.knots.speed_rpm) / 60.0 * run.ratio[of_frame])
-    beside = np.log(evidence.speed_hz) - np.interp(evidence.time_s, run.frame_s, wanted)[:, None]
-    near = np.where(np.abs(beside) <= MENDED_REACH, run.log_odds, np.float32(-FAR_ODDS))
-    return likeliest_run(near * np.float32(evidence.frames_per_knot), *_transition(evidence, settings))
-
-
-def _parabolic(log_odds: Floats, path: Ints) -> Floats:
-    """Place of the maximum beside ``path``, in steps -0.5…0.5, of the parabola through three log odds."""
-    knots = np.arange(path.size)
-    at = np.clip(path, 1, log_odds.shape[1] - 2)
-    low, mid, high = (log_odds[knots, at + s].astype(np.float64) for s in (-1, 0, 1))
-    bend = low - 2.0 * mid + high
-    offset = np.where(bend < 0.0, 0.5 * (low - high) / np.where(bend < 0.0, bend, -1.0), 0.0)
-    return np.asarray(np.where(at == path, np.clip(offset, -0.5, 0.5), 0.0))
+    return np.asarray(np.abs(np.log(evidence.speed_hz) - np.interp(evidence.time_s, run.frame_s, wanted)[:, None]))
 
 
 def _angle_of(time_s: Floats, speed_hz: Floats, end_s: float) -> AngleKnots:
@@ -374,9 +346,7 @@ def _corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) 
 
     total = float(run.angle_rev[-1])
     centre = np.linspace(
-        0.5 * FRAME_REVS,
-        total - 0.5 * FRAME_REVS,
-        max(3, int((total - FRAME_REVS) * KNOTS_PER_FRAME / FRAME_REVS) + 1),
+        0.5 * FRAME_REVS, total - 0.5 * FRAME_REVS, max(3, int((total - FRAME_REVS) * KNOTS_PER_FRAME / FRAME_REVS) + 1)
     )
     turn, weight, snr = _turns(signals, rate_hz, run, centre, order)
     gain, hop = 2.0 * np.pi * order, float(centre[1] - centre[0])

@@ -14,7 +14,7 @@ from crankorder.errors import InputError
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.pulses import FEWEST_SAMPLES_PER_TOOTH, Remark, listed_times
-from crankorder.shaft.repair import running_part
+from crankorder.shaft.repair import running_parts
 from crankorder.shaft.uneven_wheel import (
     WHOLE_TEETH,
     Wheel,
@@ -184,7 +184,7 @@ def number_teeth(
     configured, or more repairs than ``max_repaired_fraction`` of the pulses.
     """
     _check_times(time_s)
-    part, flags = running_part(time_s, pulses_per_rev=wheel.places.size * ratio, gap=wheel.widest_gap)
+    (part, *_), flags = running_parts(time_s, pulses_per_rev=wheel.places.size * ratio, gap=wheel.widest_gap)
     time_s = time_s[part]
     _check_times(time_s)
     if wheel.even:
@@ -442,10 +442,6 @@ def _flag_lost(lost: Ints, time_s: Floats, tooth: Ints, wheel: Wheel, index_toot
         flags.append(("encoder_damaged_line", "suspect", detail))
 
 
-# Pulses that are enough to tell their noise.
-MOST_NOISE_TEETH = 20_000
-
-
 def stated_wheel(recording: xr.Dataset) -> tuple[Wheel, list[Remark]]:
     """The wheel of ``recording``, found from the pulses where nothing states it, and remarks on how it was found."""
     if "pulse_time" not in recording.variables:
@@ -470,25 +466,6 @@ def stated_wheel(recording: xr.Dataset) -> tuple[Wheel, list[Remark]]:
     remark: Remark = ("encoder_pattern_found", "suspect", f"wheel found from the pulses: {found.told}; state it")
     angles = found.pattern.angles_deg
     return wheel_of(len(angles), tooth_angles_deg=angles), [remark]
-
-
-def uneven_noise_s(time_s: Floats, tooth: Ints) -> float:
-    """Standard deviation [s] of the pulse times of uneven teeth, from their fourth divided differences, by the median.
-
-    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers, growing.
-    """
-    if time_s.size < 8:
-        return 0.0
-    count = min(time_s.size, MOST_NOISE_TEETH) - 4
-    total, power = np.zeros(count), np.zeros(count)
-    for k in range(5):
-        weight = np.ones(count)
-        for other in range(5):
-            if other != k:
-                weight /= tooth[k : k + count] - tooth[other : other + count]
-        total += weight * time_s[k : k + count]
-        power += weight**2
-    return float(np.median(np.abs(total) / np.sqrt(power))) / 0.6745
 
 
 def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:

@@ -12,7 +12,7 @@ import xarray as xr
 from crankorder.engine.machine_parts import StatedPath
 from crankorder.identify.modes.order_blocks import swept_rows
 from crankorder.identify.modes.order_responses import resonance
-from crankorder.orders.filter_bandwidth import NOISE_BANDWIDTH
+from crankorder.orders.vold_kalman import NOISE_BANDWIDTH
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import STANDARD_GRAVITY_M_S2, MethodNumbers
 

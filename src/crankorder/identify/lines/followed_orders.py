@@ -24,8 +24,7 @@ from crankorder.identify.lines.line_phasors import (
     sure_half_width,
 )
 from crankorder.identify.lines.order_lines import longer_frames
-from crankorder.orders.close_rows import OrderRows, PartedRow
-from crankorder.orders.fixed_lines import FixedLine
+from crankorder.orders.fixed_lines import FixedLine, OrderRows, PartedRow
 from crankorder.orders.intervals import half_width, interval
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag

@@ -14,7 +14,7 @@ from scipy.special import gammaincc, gammainccinv, gammaincinv, gammaln
 from crankorder.identify.found import Evidence, OrderLine
 from crankorder.identify.lines.zoom import Zoomed, turned_sums
 from crankorder.orders.averages import median_of_known
-from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, remark
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings, Settings
 from crankorder.shaft.aliasing import Alias, AliasedLine, aliased_lines, find_aliases
 
@@ -505,8 +505,8 @@ def alias_flags(order_map: xr.Dataset, *, settings: Settings, folds: tuple[Shown
         f"{low_hz:.4g} to {high_hz:.4g} Hz (by speed) shows at |order - {samples_per_rev:g} k|"
     )
     text = "; mains, ".join([said, *map(str, mains)])
-    remarks = [("lines_may_fold", "info", text), *(shown.fold.remark for shown in folds)]
-    return [{"recording": "all", "flag": flag, "severity": kind, "detail": text} for flag, kind, text in remarks]
+    found = [remark("all", "folded_frequency", shown.fold.evidence, "suspect") for shown in folds]
+    return [remark("all", "lines_may_fold", text), *found]
 
 
 def _samples_per_rev(order_map: xr.Dataset) -> float | None:

@@ -14,8 +14,8 @@ from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple, proves_speed, speed_source
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import UNTOLD_HZ, Block, Rows
-from crankorder.orders.filter_bandwidth import NOISE_BANDWIDTH
 from crankorder.orders.intervals import WHOLE, one_phase_reference, phases_compare
+from crankorder.orders.vold_kalman import NOISE_BANDWIDTH
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
