@@ -61,10 +61,11 @@ def test_no_text_lies_on_another_no_two_systems_have_one_colour_and_the_bytes_ar
     systems = made["system"].values.tolist()
     assert len({pictures.system_color(system) for system in systems}) == len(systems)
     for draw in PICTURES:
-        figure, again = (draw(made, title=subject.engine.title, settings=settings) for _ in range(2))
+        figure = draw(made, title=subject.engine.title, settings=settings)
         assert overlaps(figure) == []
         assert not any("\x1b" in text.get_text() for text in figure.findobj(Text))
-        assert name != CRANK_ENGINES[0] or picture_bytes(figure, dpi=50) == picture_bytes(again, dpi=50)
+    again = draw(made, title=subject.engine.title, settings=settings)
+    assert picture_bytes(figure, dpi=50) == picture_bytes(again, dpi=50)
 
 
 def test_the_polar_curve_of_the_bare_engine_is_the_exact_force(task5):

@@ -107,11 +107,18 @@ def test_what_may_be_absent_or_unknown_breaks_neither_page_nor_headline(key, ful
     if key in RECORDS:
         needed = set(schema_of("findings")["properties"][key]["items"]["required"])
         names = sorted({name for record in full[key] for name in record} - needed)
-        # of every name and of each alone, the record without it and the record where it is unknown
-        for gone in (names, *([name] for name in names)):
-            known = [{name: value for name, value in record.items() if name not in gone} for record in full[key]]
-            unknown = dict.fromkeys(set(gone) - ({"order", "frequency_hz"} if key == "lines" else set()))
-            given += [{**full, key: known}, {**full, key: [record | unknown for record in full[key]]}]
+        # all at once; then another one in each record, until each was absent
+        gone = [[names] * len(full[key])]
+        for first in range(0, len(names), len(full[key])):
+            gone.append([[names[(first + number) % len(names)]] for number in range(len(full[key]))])
+        needs = {"order", "frequency_hz"} if key == "lines" else set()
+        for absent in gone:
+            pairs = list(zip(full[key], absent, strict=True))
+            known = [{name: value for name, value in record.items() if name not in own} for record, own in pairs]
+            given += [
+                {**full, key: known},
+                {**full, key: [one | dict.fromkeys(set(own) - needs) for one, own in pairs]},
+            ]
     else:
         given.append({name: value for name, value in full.items() if name != key})
     for findings in given:
