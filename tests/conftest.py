@@ -1,7 +1,9 @@
 """What all tests share: where the shared recordings and the truth sheet are, and surroundings that do not vary."""
 
+import functools
 import json
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -64,3 +66,29 @@ def shared_truth():
     """The truth sheet (``truth.json``), derived apart from this program; the test is skipped where it is absent."""
     truth: dict[str, Any] = json.loads((_shared("truth") / "truth.json").read_text(encoding="utf-8"))
     return truth
+
+
+@pytest.fixture(scope="session")
+def recordings_of(tmp_path_factory):
+    """Maker of the recordings of a shipped scene in its short version: made once, nothing may be changed in them."""
+    from made.command import done  # loads numpy: not before the surroundings above are set
+
+    def made(name):
+        folder: Path = tmp_path_factory.mktemp(name) / "test"
+        done("synth", name, "--out", folder, "--quick", "-q")
+        return folder
+
+    return functools.cache(made)
+
+
+@pytest.fixture(scope="session")
+def campaign_at(recordings_of):
+    """Maker of a folder to be spoiled: manifest and recordings of the short reference campaign at the given speeds."""
+
+    def made(folder, *speeds_rpm):
+        folder.mkdir()
+        for file in ("run.toml", *(f"rpm_{rpm}.h5" for rpm in speeds_rpm)):
+            shutil.copy(recordings_of("thesis-second-motoring") / file, folder / file)
+        return folder
+
+    return made

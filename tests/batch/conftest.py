@@ -1,36 +1,19 @@
-"""The short version of the reference campaign, which several files of this room take recordings from."""
-
-import shutil
-from pathlib import Path
+"""Recordings of the reference campaign, and results of two of them, which several files of this room use."""
 
 import pytest
 
 from made.command import done
 
 
-@pytest.fixture(scope="session")
-def campaign(tmp_path_factory):
-    """Recordings of the campaign with its truth: nothing may be changed in them."""
-    folder: Path = tmp_path_factory.mktemp("campaign") / "recordings"
-    done("synth", "thesis-second-motoring", "--out", folder, "--quick", "-q")
-    return folder
-
-
 @pytest.fixture
-def copied(campaign, tmp_path):
+def copied(campaign_at, tmp_path):
     """Maker of a folder of the test's own, to be spoiled: the manifest and the recordings at the given speeds."""
-
-    def copy(*speeds_rpm, name="recordings"):
-        (tmp_path / name).mkdir()
-        for file in ("run.toml", *(f"rpm_{rpm}.h5" for rpm in speeds_rpm)):
-            shutil.copy(campaign / file, tmp_path / name / file)
-        return tmp_path / name
-
-    return copy
+    return lambda *speeds_rpm, name="recordings": campaign_at(tmp_path / name, *speeds_rpm)
 
 
-@pytest.fixture(params=[("--recipe", "maps"), pytest.param((), marks=pytest.mark.slow)], ids=["maps", "default"])
-def recipe(request):
-    """Options that name a recipe: the maps alone, and (slow) findings and page as well."""
-    asked: tuple[str, ...] = request.param
-    return asked
+@pytest.fixture(scope="session")
+def analysed(campaign_at, tmp_path_factory):
+    """Two recordings and their results, whole: findings, pictures and page. Nothing may be changed in them."""
+    place = tmp_path_factory.mktemp("analysed")
+    done("run", campaign_at(place / "recordings", 1500, 1800), "--out", place / "out", "--jobs", 2)
+    return place

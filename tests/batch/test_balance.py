@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from itertools import product
 
 import jsonschema
 import numpy as np
@@ -34,38 +35,21 @@ def engine_file(folder, name="task5", **values):
     return path
 
 
-@pytest.fixture(scope="module")
-def task5():
-    return document("task5")
-
-
-def test_counterweights_are_those_of_the_truth(task5, shared_truth):
-    truth = shared_truth["seed000"]["recovered"]
-    found = task5["strategies"]
-    for name, key in (("a", "check_ma1_a"), ("b", "check_ma1_b"), ("c", "check_ma1_c"), ("d", "check_ma1_d")):
-        assert found[name]["counterweight_g"] == pytest.approx(float(truth[key]), rel=EXACT)
-    assert found["d"]["rod_counterweight_g"] == pytest.approx(float(truth["check_ma2_d"]), rel=EXACT)
-    assert found["d"]["total_g"] == pytest.approx(float(truth["check_total_d"]), rel=EXACT)
-
-
-def test_residuals_of_order_1_are_those_of_the_truth(task5, shared_truth):
-    amplitudes = shared_truth["seed000"]["residual_first_harmonic_over_l1w2"]["amplitudes_g"]
-    radius = float(shared_truth["seed000"]["recovered"]["suggested_test_set"]["l1_mm"])
-    for name, found in task5["strategies"].items():
-        left = [found["residual_x_g_mm"], found["residual_y_g_mm"]]
-        assert left == pytest.approx([radius * part for part in amplitudes[name]], rel=EXACT)
-    plain = [task5["force_g_mm"][axis]["1"] for axis in "xy"]
-    assert plain == pytest.approx([radius * part for part in amplitudes["unbalanced"]], rel=EXACT)
-
-
-def test_shafts_carry_the_masses_of_the_truth(task5, shared_truth):
-    truth = shared_truth["seed000"]["recovered"]
+def test_counterweights_residuals_and_shafts_are_those_of_the_truth(shared_truth):
+    found, truth = document("task5"), shared_truth["seed000"]["recovered"]
+    left = shared_truth["seed000"]["residual_first_harmonic_over_l1w2"]["amplitudes_g"]
+    for name, made in found["strategies"].items():
+        assert made["counterweight_g"] == pytest.approx(float(truth.get(f"check_ma1_{name}", 0.0)), rel=EXACT)
+        residual = [made["residual_x_g_mm"], made["residual_y_g_mm"]]
+        radius_mm = float(truth["suggested_test_set"]["l1_mm"])
+        assert residual == pytest.approx([radius_mm * part for part in left[name]], rel=EXACT)
+    assert found["strategies"]["d"]["total_g"] == pytest.approx(float(truth["check_total_d"]), rel=EXACT)
     first = float(truth["mz1*lz1/l1_g (possibilities 1,3 each of two; 4 single)"])
     second = float(truth["mz2*lz2/l1_g at lambda"]["0.25"])
     for name in ("1", "2", "3", "4", "4+2"):
-        for shaft in task5["shafts"][name]["shafts"]:
-            expected = first if abs(shaft["speed_ratio"]) == 1 else second
-            assert shaft["mass_at_crank_radius_g"] == pytest.approx(expected, rel=EXACT)
+        for shaft in found["shafts"][name]["shafts"]:
+            wanted = first if abs(shaft["speed_ratio"]) == 1 else second
+            assert shaft["mass_at_crank_radius_g"] == pytest.approx(wanted, rel=EXACT)
 
 
 def test_speeds_and_orders_are_those_asked_for():
@@ -79,29 +63,18 @@ def test_speeds_and_orders_are_those_asked_for():
 def test_a_shipped_engine_gives_one_valid_document_and_nothing_else(name, project_root):
     outcome = done("balance", project_root / "pipeline" / "engines" / f"{name}.toml", "--json")
     assert outcome.stderr == ""
-    found = json.loads(outcome.stdout)
-    faults = jsonschema.Draft202012Validator(schema_of("balance")).iter_errors(found)
-    assert [fault.message for fault in faults] == []
-    assert set(KEYS) <= set(found)
+    found, validator = json.loads(outcome.stdout), jsonschema.Draft202012Validator(schema_of("balance"))
+    assert [fault.message for fault in validator.iter_errors(found)] == []
     assert found["sentences"]
     assert all(sentence.endswith(".") and len(sentence) < 500 for sentence in found["sentences"])
-
-
-@pytest.mark.slow
-def test_a_schema_refuses_a_document_without_a_key_and_null_but_of_elastic_hinges():
-    validator = jsonschema.Draft202012Validator(schema_of("balance"))
-    crank, hinged = document("task5"), document("elastic-hinge")
-    for found in (crank, hinged):
-        for key in KEYS:
-            assert list(validator.iter_errors({name: value for name, value in found.items() if name != key}))
-    assert [hinged[key] for key in KEYS[1:-1]] == [None] * 6
-    for key in ("lambda", "harmonics", "force_g_mm", "shafts"):
-        assert list(validator.iter_errors({**crank, key: None}))
-        assert list(validator.iter_errors({**hinged, key: crank[key]}))
+    for key in KEYS:
+        assert not validator.is_valid({other: value for other, value in found.items() if other != key})
+    for key in ("lambda", "harmonics", "force_g_mm", "shafts"):  # null of elastic hinges, and of no other
+        assert not validator.is_valid({**found, key: 1.0 if found[key] is None else None})
 
 
 def test_pictures_data_and_document_appear_whole(tmp_path):
-    outcome = done("balance", "msu-optical-second", "--out", tmp_path / "out", "--json")
+    outcome = done("balance", "v-twin", "--out", tmp_path / "out", "--json")
     names = {path.name for path in (tmp_path / "out").iterdir()}
     pictures = ("polar.png", "force.png", "orders.png", "harmonics.png", "torque.png", "loads.png")
     assert names == {"balance.json", *pictures, "balance.nc", DONE}
@@ -110,27 +83,10 @@ def test_pictures_data_and_document_appear_whole(tmp_path):
     assert all((tmp_path / "out" / name).read_bytes()[:4] == b"\x89PNG" for name in names if name.endswith("png"))
     said = [line.rpartition("/")[2] for line in outcome.stderr.splitlines()]
     assert said == ["balance.json", *pictures, "balance.nc"]
-
-
-@pytest.mark.slow
-def test_the_netcdf_holds_forces_harmonics_and_polar_curves(tmp_path):
-    done("balance", "v-twin", "--out", tmp_path)
-    stored = read_results(tmp_path / "balance.nc")["balance"]
-    found = json.loads((tmp_path / "balance.json").read_bytes())
+    stored, found = read_results(tmp_path / "out" / "balance.nc")["balance"], json.loads(outcome.stdout)
     force = stored["force_at_speed"].sel(system="none", axis="y", order=2.0, speed=2000.0)
     assert float(force) == pytest.approx(found["force_n"]["2000"]["y"]["2"], rel=1e-6)
     np.testing.assert_allclose(stored["harmonic"].values, list(found["harmonics"].values()), rtol=1e-12)
-    assert stored["curve"].dims == ("system", "axis", "crank_angle")
-    assert stored["moment"].sizes == {"moment_axis": 3, "order": 8}
-
-
-@pytest.mark.slow
-def test_the_same_engine_gives_the_same_bytes_wherever_its_file_lies(tmp_path, project_root):
-    first, second = tmp_path / "first", tmp_path / "second"
-    done("balance", "inline-2", "--out", first)
-    done("balance", project_root / "pipeline" / "engines" / "inline-2.toml", "--out", second)
-    for path in first.iterdir():
-        assert path.read_bytes() == (second / path.name).read_bytes(), path.name
 
 
 @pytest.mark.slow
@@ -139,13 +95,6 @@ def test_an_engine_with_elastic_hinges_gets_its_own_pictures(tmp_path):
     found = json.loads((tmp_path / "balance.json").read_bytes())
     assert len(list(tmp_path.glob("hinges_*.png"))) == len(found["mechanisms"]) == 6
     assert "pin_fig4_b" in read_results(tmp_path / "balance.nc")
-
-
-@pytest.mark.slow
-def test_a_folder_that_cannot_be_made_is_a_fault_of_the_surroundings(tmp_path):
-    (tmp_path / "file").write_text("")
-    outcome = balance("task5", "--out", tmp_path / "file" / "out")
-    assert (outcome.exit_code, outcome.stdout) == (5, "")
 
 
 def test_every_fault_of_a_file_is_listed_at_once(tmp_path):
@@ -172,5 +121,6 @@ def test_an_engine_that_cannot_be_is_a_wrong_request_that_says_why(tmp_path):
 
 def test_speeds_and_orders_out_of_range_are_wrong_requests():
     wrong = (("--speed", 0), ("--speed", -1), ("--speed", "nan"), ("--speed", "inf"), ("--max-order", 3))
-    made = {(engine, *one): balance(engine, *one) for engine in ("task5", "elastic-hinge") for one in wrong}
-    assert [request for request, one in made.items() if (one.exit_code, one.stdout) != (2, "")] == []
+    for engine, options in product(("task5", "elastic-hinge"), wrong):
+        outcome = balance(engine, *options)
+        assert (outcome.exit_code, outcome.stdout) == (2, ""), (engine, *options)

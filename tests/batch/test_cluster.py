@@ -74,8 +74,7 @@ def four(copied):
 
 
 def reused(out):
-    events = [json.loads(line) for path in (out / LOGS).iterdir() for line in path.read_text().splitlines()]
-    return sum(event["event"] == "recording reused" for event in events)
+    return sum(path.read_text().count('"recording reused"') for path in (out / LOGS).iterdir())
 
 
 @pytest.mark.parametrize("far", [False, True])

@@ -11,7 +11,7 @@ import pytest
 from crankorder.batch.result_folder import DONE, finished_with, publish
 from crankorder.quantities import schema_of
 from crankorder.report.netcdf import read_results, results_bytes
-from made.command import crankorder
+from made.command import crankorder, results_in
 from made.two_tests import made_test, written
 
 LINES = {1.0: lambda rpm: 0.5 * (rpm / 1000) ** 2, 5.5: lambda rpm: 0.4}
@@ -50,17 +50,17 @@ def test_a_comparison_is_published_whole_and_says_its_headline(results, tmp_path
     names = {path.name for path in (tmp_path / "c").iterdir()}
     assert names == {"comparison.json", "comparison.nc", "comparison.html", DONE, "orders_change.png"}
     assert finished_with(tmp_path / "c", json.loads((tmp_path / "c" / DONE).read_bytes())["key"])
+    orders = read_results(tmp_path / "c" / "comparison.nc")["order_change"]
+    assert set(orders["order"].values[orders["changed"].values.any(axis=1)]) == {5.5}
 
 
-def test_the_document_is_that_of_the_schema_and_json_says_it_alone(results, tmp_path):
-    outcome = compare(results["run 0"], results["balanced"], "--out", tmp_path / "c", "--json")
-    assert json.loads(outcome.stdout) == document(tmp_path / "c")
-    jsonschema.Draft202012Validator(schema_of("comparison")).validate(document(tmp_path / "c"))
-
-
-def test_a_balance_weight_is_recognised_and_weighed(results, tmp_path):
-    compare(results["run 0"], results["balanced"], "--out", tmp_path / "c", "--fdr", 0.01)
+def test_a_balance_weight_is_recognised_and_weighed_by_the_same_bytes_each_time(results, tmp_path):
+    for name in "cd":
+        outcome = compare(results["run 0"], results["balanced"], "--out", tmp_path / name, "--fdr", 0.01, "--json")
+    assert results_in(tmp_path / "c") == results_in(tmp_path / "d")
     made = document(tmp_path / "c")
+    assert json.loads(outcome.stdout) == made
+    jsonschema.Draft202012Validator(schema_of("comparison")).validate(made)
     assert made["cause"] == {"cause": "unbalance", "orders": [1.0]}
     (record,) = [one for one in made["unbalance"] if one["explains"]]
     assert record["factor_ci95"][0] < 0.2 < record["factor_ci95"][1]
@@ -84,22 +84,6 @@ def test_of_several_runs_the_growing_line_is_named(results, tmp_path):
     jsonschema.Draft202012Validator(schema_of("comparison")).validate(made)
 
 
-@pytest.mark.slow
-def test_the_datasets_hold_what_the_document_claims(results, tmp_path):
-    compare(results["run 0"], results["run 2"], "--out", tmp_path / "c")
-    orders = read_results(tmp_path / "c" / "comparison.nc")["order_change"]
-    assert set(orders["order"].values[orders["changed"].values.any(axis=1)]) == {5.5}
-
-
-@pytest.mark.slow
-def test_the_same_tests_give_the_same_bytes(results, tmp_path):
-    for name in ("one", "two"):
-        compare(results["run 0"], results["run 1"], "--out", tmp_path / name)
-    one, two = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("one", "two"))
-    assert one == two
-
-
-@pytest.mark.slow
 def test_the_out_of_a_run_of_one_test_stands_for_that_test(results, tmp_path):
     shutil.copytree(results["run 0"], tmp_path / "again" / "run-0")
     outcome = compare(results["run 0"].parent, tmp_path / "again", "--out", tmp_path / "c")
@@ -143,26 +127,23 @@ def test_results_of_another_version_or_without_maps_are_named(results, tmp_path)
 
 
 def test_faults_of_the_request_are_named_and_nothing_is_written(results, tmp_path):
-    base, out = results["run 0"], tmp_path / "c"
+    base, other, out = results["run 0"], results["run 1"], tmp_path / "c"
     (tmp_path / "empty").mkdir()
-    (tmp_path / "two").mkdir()
     for name in ("a", "b"):
         publish(tmp_path / "two" / name, {"results.nc": b""}, key="k")
-    for wrong, said in ((tmp_path / "none", "no such folder"), (tmp_path / "empty", "no finished results")):
-        outcome = compare(base, wrong, "--out", out)
-        assert outcome.exit_code == 2 and said in outcome.stderr
-    outcome = compare(base, tmp_path / "two", "--out", out)
-    assert outcome.exit_code == 2 and "a, b" in outcome.stderr
-    assert compare(base, results["run 1"], "--out", base).exit_code == 2  # would replace the results
-    assert compare(base, results["run 1"], "--out", base / "inside").exit_code == 2
     (tmp_path / "file").write_text("mine")
-    outcome = compare(base, results["run 1"], "--out", tmp_path / "file")
-    assert outcome.exit_code == 2 and "is a file" in outcome.stderr and (tmp_path / "file").read_text() == "mine"
-    assert compare(base, results["run 1"], "--out", out, "--fdr", "0").exit_code == 2
-    assert not out.exists() and not (base / "inside").exists()
-
-
-def test_damaged_results_are_named(results, tmp_path):
     publish(tmp_path / "t", {"results.nc": b"no", "findings.json": b"{}", "run.json": b'{"test": "t"}'}, key="k")
-    outcome = compare(results["run 0"], tmp_path / "t", "--out", tmp_path / "c")
-    assert outcome.exit_code == 3 and str(tmp_path / "t") in outcome.stderr
+    for test, place, options, status, said in (
+        (tmp_path / "none", out, (), 2, "no such folder"),
+        (tmp_path / "empty", out, (), 2, "no finished results"),
+        (tmp_path / "two", out, (), 2, "a, b"),
+        (other, base, (), 2, ""),  # would replace the results
+        (other, base / "inside", (), 2, ""),
+        (other, tmp_path / "file", (), 2, "is a file"),
+        (other, out, ("--fdr", "0"), 2, ""),
+        (tmp_path / "t", out, (), 3, str(tmp_path / "t")),  # damaged
+    ):
+        outcome = compare(base, test, "--out", place, *options)
+        assert outcome.exit_code == status and said in outcome.stderr
+    assert (tmp_path / "file").read_text() == "mine"
+    assert not out.exists() and not (base / "inside").exists()

@@ -7,7 +7,7 @@ import pytest
 from crankorder.batch import look
 from crankorder.ingest.manifest import load_manifest
 from crankorder.settings import load_settings
-from made.command import crankorder
+from made.command import crankorder, done
 from made.recordings import manifest
 
 RATE_HZ, RPM, TEETH, LENGTH_S = 10_000.0, 1500.0, 24, 4.0
@@ -28,11 +28,6 @@ def write(folder, made, name="a.h5"):
         file.attrs["rate_hz"] = RATE_HZ
         for key, values in made.items():
             file.create_dataset(key, data=values)
-
-
-def called(*arguments):
-    outcome = crankorder(*arguments)
-    return outcome.exit_code, outcome.output
 
 
 def as_csv(folder, made):
@@ -57,37 +52,27 @@ def test_what_run_would_refuse_is_a_fault_of_check(tmp_path, fault):
     folder.mkdir()
     (folder / "run.toml").write_text(text)
     (as_csv if text == ROUNDED else write)(folder, columns(1) | others)
-    ran, _ = called("run", folder, "--out", tmp_path / "out", "-q")
-    checked, said = called("check", folder)
-    assert ran != 0
-    assert checked == ran  # 2 where the manifest is wrong, 4 where no recording is left
-    assert "no fault found" not in said
+    ran, checked = crankorder("run", folder, "--out", tmp_path / "out", "-q"), crankorder("check", folder)
+    assert ran.exit_code != 0
+    assert checked.exit_code == ran.exit_code  # 2 where the manifest is wrong, 4 where no recording is left
+    assert "no fault found" not in checked.output
 
 
-def test_a_sound_folder_is_told_line_by_line(tmp_path):
+def test_a_folder_is_told_line_by_line_and_lost_recordings_are_named_beside_the_others(tmp_path):
     (tmp_path / "run.toml").write_text(MANIFEST)
     for number, rpm in enumerate((900.0, 1500.0)):
         write(tmp_path, columns(number, rpm=rpm), f"rpm {rpm:.0f}.h5")
-    status, text = called("check", tmp_path)
-    assert status == 0
-    first, second, *_ = [line for line in text.split("\n") if line.startswith("rpm")]
-    assert first.startswith("rpm 900.h5: 4 s at 10000 Hz, 900 rpm, 1440 pulses (24 per revolution)")
-    assert second.startswith("rpm 1500.h5: 4 s at 10000 Hz, 1500 rpm, 2400 pulses (24 per revolution)")
+    text = done("check", tmp_path).output
+    for rpm, pulses in ((900, 1440), (1500, 2400)):
+        assert f"\nrpm {rpm}.h5: 4 s at 10000 Hz, {rpm} rpm, {pulses} pulses (24 per revolution)" in f"\n{text}"
     assert "no fault found in the 100 % that was read" in text
-
-
-@pytest.mark.slow
-def test_lost_recordings_are_named_beside_the_lines_of_the_others(tmp_path):
-    (tmp_path / "run.toml").write_text(MANIFEST)
-    write(tmp_path, columns(1))
     write(tmp_path, columns(2) | {"encoder": np.zeros(40_000)}, "b.h5")
     write(tmp_path, columns(3) | {"acc": np.clip(columns(3)["acc"], -0.6, 0.6)}, "c.h5")
-    status, text = called("check", tmp_path)
-    assert status == 3
-    assert "b.h5: " in text
-    assert "a.h5: 4 s at 10000 Hz" in text
-    assert "c.h5: left out of all averages; found clipped" in text
-    assert "of the channel is lost; allowed: 5 % between its ends" in text  # flat in every period, not in one stretch
+    outcome = crankorder("check", tmp_path)
+    assert outcome.exit_code == 3
+    assert "b.h5: " in outcome.output and "rpm 900.h5: 4 s at 10000 Hz" in outcome.output
+    assert "c.h5: left out of all averages; found clipped" in outcome.output
+    assert "is lost; allowed: 5 % between its ends" in outcome.output  # flat in every period, not in one stretch
 
 
 def test_of_a_long_recording_head_middle_and_tail_are_read(tmp_path, monkeypatch):
@@ -98,6 +83,5 @@ def test_of_a_long_recording_head_middle_and_tail_are_read(tmp_path, monkeypatch
     monkeypatch.setattr(look, "LOOK_BYTES", 2 * 8 * 240_000)
     found = look.look_at_recording(tmp_path / "a.h5", load_manifest(tmp_path), load_settings())
     assert found.share == pytest.approx(0.4)
-    assert "60 s at 10000 Hz, 1500 rpm" in found.line
-    assert "40 % read" in found.line
+    assert "60 s at 10000 Hz, 1500 rpm" in found.line and "40 % read" in found.line
     assert any("acc" in remark for remark in found.remarks)

@@ -33,43 +33,32 @@ def campaign(folder, speeds):
     return folder
 
 
-def test_files_of_one_name_have_their_own_speeds_and_rows(tmp_path):
-    done = run(campaign(tmp_path / "in", SPEEDS), "--out", tmp_path / "out")
-    assert done.exit_code == 0, done.output
-    with xr.open_dataset(tmp_path / "out" / "names" / "results.nc", group="shaft", engine="h5netcdf") as shaft:
-        assert dict(zip(shaft["recording"].values.tolist(), shaft["speed_mean"].values.tolist(), strict=True)) == SPEEDS
-    with xr.open_dataset(tmp_path / "out" / "names" / "results.nc", group="order_map", engine="h5netcdf") as orders:
-        np.testing.assert_allclose(orders["speed"].values, [1500.0, 1800.0, 2100.0])
-
-
-@pytest.mark.slow
-def test_faults_tell_which_of_them(tmp_path):
-    folder = campaign(tmp_path / "in", SPEEDS)
+def test_files_of_one_name_have_their_own_speeds_and_rows_and_faults_tell_which_of_them(tmp_path):
+    folder, out = campaign(tmp_path / "in", SPEEDS), tmp_path / "out"
+    assert run(folder, "--out", out).exit_code == 0
+    with xr.open_datatree(out / "names" / "results.nc", engine="h5netcdf") as tree:
+        shaft = tree["shaft"]
+        assert dict(zip(shaft["recording"].values, shaft["speed_mean"].values, strict=True)) == SPEEDS
+        np.testing.assert_allclose(tree["order_map"]["speed"].values, [1500.0, 1800.0, 2100.0])
     (folder / "b" / "x.h5").write_bytes(b"")
-    done = run(folder, "--out", tmp_path / "out")
-    assert done.exit_code == 3
-    (failed,) = json.loads((tmp_path / "out" / "batch.json").read_bytes())["tests"][0]["failed"]
+    assert run(folder, "--out", out).exit_code == 3
+    (failed,) = json.loads((out / "batch.json").read_bytes())["tests"][0]["failed"]
     assert failed["recording"] == "b/x.h5"
-    found = json.loads((tmp_path / "out" / "names" / "findings.json").read_bytes())
-    assert [one["recording"] for one in found["quality"] if one["flag"] == "not_used"] == ["b/x.h5"]
+    quality = json.loads((out / "names" / "findings.json").read_bytes())["quality"]
+    assert [one["recording"] for one in quality if one["flag"] == "not_used"] == ["b/x.h5"]
 
 
-@pytest.mark.slow
-def test_a_speed_is_stated_for_a_whole_path(tmp_path):
-    folder = campaign(tmp_path / "in", {"a/x.h5": 1500.0, "x.h5": 1800.0})
-    done = run(folder, "--out", tmp_path / "out")
-    assert done.exit_code == 3
-    assert f"{folder / 'b' / 'x.h5'}: recordings.speed_rpm: the manifest states no speed" in done.output
-    misspelt = campaign(tmp_path / "other", {**SPEEDS, "c/x.h5": 900.0})
-    for command in (("check", misspelt), ("run", misspelt, "--out", tmp_path / "out2")):
-        told = crankorder(*command)
-        assert told.exit_code != 0
-        assert "a speed is stated for no recording" in told.output and "c/x.h5" in told.output
-
-
-def test_two_speeds_for_one_path_are_refused(tmp_path):
-    told = crankorder("check", campaign(tmp_path / "in", {**SPEEDS, "b\\x.h5": 900.0}))
-    assert told.exit_code != 0 and "two speeds are stated for b/x.h5" in told.output
+@pytest.mark.parametrize(
+    ("speeds", "said"),
+    [
+        ({"a/x.h5": 1500.0, "x.h5": 1800.0}, "b/x.h5: recordings.speed_rpm: the manifest states no speed"),
+        ({**SPEEDS, "c/x.h5": 900.0}, "a speed is stated for no recording"),
+        ({**SPEEDS, "b\\x.h5": 900.0}, "two speeds are stated for b/x.h5"),
+    ],
+)
+def test_a_speed_is_stated_for_a_whole_path_once(tmp_path, speeds, said):
+    told = crankorder("check", campaign(tmp_path / "in", speeds))
+    assert told.exit_code != 0 and said in told.output
 
 
 def test_a_folder_without_a_manifest_stops_no_other(tmp_path):

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import time
 
 import h5netcdf
 import jsonschema
@@ -30,23 +31,13 @@ def two_speeds(copied):
     return copied(1500, 1800)
 
 
-def recipe(folder, *results):
-    path = folder / "wanted.toml"
-    path.write_text(f"[report]\nresults = {json.dumps(results)}\n")
-    return path
-
-
-def groups_in(out):
-    with h5netcdf.File(next(out.glob("*/results.nc")), "r") as file:
-        return set(file.groups)
-
-
 def test_maps_alone_make_page_and_index_and_say_that_findings_were_not_asked_for(two_speeds, tmp_path):
     out = tmp_path / "out"
     outcome = done("run", two_speeds, "--out", out, "--recipe", "maps")
     assert "not asked for: the recipe wants order map, campbell map only" in outcome.output
     assert "above the noise" not in outcome.output
-    assert groups_in(out) == {"order_map", "campbell_map", "shaft", "findings"}
+    with h5netcdf.File(next(out.glob("*/results.nc")), "r") as file:
+        assert set(file.groups) == {"order_map", "campbell_map", "shaft", "findings"}
     findings = json.loads(next(out.glob("*/findings.json")).read_bytes())
     assert list(jsonschema.Draft202012Validator(schema_of("findings")).iter_errors(findings)) == []
     assert findings["orders"] == []
@@ -55,26 +46,16 @@ def test_maps_alone_make_page_and_index_and_say_that_findings_were_not_asked_for
     assert next(out.glob("*/report.html")).stat().st_size > 0
 
 
-@pytest.mark.slow
-def test_tracks_without_findings_follow_the_orders_that_were_named(two_speeds, tmp_path):
+def test_results_are_the_same_whatever_else_is_made_and_tracks_without_findings_follow_the_orders_named(
+    analysed, tmp_path
+):
     path = tmp_path / "tracks.toml"
-    path.write_text('[report]\nresults = ["order_tracks"]\n[orders]\ntrack_orders = [1.0, 2.0]\n')
-    out = tmp_path / "out"
-    done("run", two_speeds, "--out", out, "--recipe", path, "-q")
-    with h5netcdf.File(next(out.glob("*/results.nc")), "r") as file:
-        assert file["order_tracks"]["order"][:].tolist() == [1.0, 2.0]
-
-
-@pytest.mark.slow
-def test_results_that_are_made_are_the_same_whatever_else_is_made(two_speeds, tmp_path):
-    values = []
-    for name, results in (("all", ("order_map", "campbell_map", "findings")), ("two", ("order_map", "campbell_map"))):
-        chosen = recipe(tmp_path, *results)
-        done("run", two_speeds, "--out", tmp_path / name, "--recipe", chosen, "-q")
-        with h5netcdf.File(next((tmp_path / name).glob("*/results.nc")), "r") as file:
-            values.append((file["order_map"]["amplitude"][:], file["campbell_map"]["psd"][:]))
-    assert (values[0][0] == values[1][0]).all()
-    assert (values[0][1] == values[1][1]).all()
+    path.write_text('[report]\nresults = ["order_map", "order_tracks"]\n[orders]\ntrack_orders = [1.0, 2.0]\n')
+    done("run", analysed / "recordings", "--out", tmp_path / "out", "--recipe", path, "-q")
+    some, every = (next(out.glob("*/results.nc")) for out in (tmp_path / "out", analysed / "out"))
+    with h5netcdf.File(some, "r") as tracks, h5netcdf.File(every, "r") as whole:
+        assert tracks["order_tracks"]["order"][:].tolist() == [1.0, 2.0]
+        assert (tracks["order_map"]["amplitude"][:] == whole["order_map"]["amplitude"][:]).all()
 
 
 def test_a_result_that_does_not_exist_is_refused_before_work(two_speeds, tmp_path):
@@ -106,16 +87,28 @@ def test_a_noun_that_no_stage_makes_is_named_with_the_way_to_it():
     assert "Recording" in caught.value.place
 
 
-def test_a_crash_inside_one_recording_is_the_fault_of_that_recording_alone(two_speeds, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("fault", "options", "told"),
+    [
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), (), "its worker was ended by SIGKILL"),
+        pytest.param(lambda: time.sleep(600.0), ("--timeout", "5"), "it took longer than 5 s", marks=pytest.mark.slow),
+    ],
+    ids=["crash", "too long"],
+)
+def test_a_crash_or_a_recording_that_takes_too_long_is_left_out_alone(
+    two_speeds, tmp_path, monkeypatch, fault, options, told
+):
     sound = execute.analyse_recording
 
-    def crashing(path, *given):
+    def faulty(path, *given):
         if path.name == "rpm_1500.h5":
-            os.kill(os.getpid(), signal.SIGKILL)
+            fault()
         return sound(path, *given)
 
-    monkeypatch.setattr(execute, "analyse_recording", crashing)
-    outcome = crankorder("run", two_speeds, "--out", tmp_path / "out", "--recipe", "maps", "--no-pictures")
+    monkeypatch.setattr(execute, "analyse_recording", faulty)
+    outcome = crankorder("run", two_speeds, "--out", tmp_path / "out", "--recipe", "maps", "--no-pictures", *options)
     assert outcome.exit_code == 3, outcome.output
-    assert "rpm_1500.h5: could not be analysed; found its worker was ended by SIGKILL" in outcome.output
+    assert f"rpm_1500.h5: could not be analysed; found {told}" in outcome.output
+    assert all(option in outcome.output for option in options[:1])
+    assert json.loads((tmp_path / "out" / "batch.json").read_bytes())["tests"][0]["status"] == "partial"
     assert next((tmp_path / "out").glob("*/results.nc")).exists()

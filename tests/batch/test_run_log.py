@@ -13,9 +13,8 @@ def test_a_line_for_each_event_as_text_or_as_json(tmp_path):
         tell("test ended", seconds={"hash": 0.5})
     assert path is not None and path.parent == tmp_path / LOGS
     first, second = (json.loads(line) for line in path.read_bytes().splitlines())
-    assert (first["level"], first["event"], first["recording"], first["why"]) == (
-        "WARNING", "left out", "a\x1b\nb\u202e", "no",
-    )  # fmt: skip
+    told = {"level": "WARNING", "event": "left out", "recording": "a\x1b\nb\u202e", "why": "no"}
+    assert first.items() >= told.items()
     assert second["seconds"] == {"hash": 0.5} and second["time"].endswith("Z")
     assert b"\xe2" not in path.read_bytes() and b"\x1b" not in path.read_bytes()
     with logged(tmp_path, as_json=False) as path:

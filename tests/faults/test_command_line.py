@@ -1,5 +1,6 @@
 """Faults of the shared catalogue that only a whole command shows, each named by its entry."""
 
+import json
 import os
 import resource
 import signal
@@ -13,21 +14,16 @@ import pytest
 
 from made.processes import PATIENCE_S, children_of, processor_s, started
 
-HEAD = """
-schema_version = 1
-[test]
-name = "{name}"
-cycle = "rotor"
-[recordings]
-files = ["*.h5"]
-[sampling]
-domain = "time"
-rate_hz = 1000.0
-[encoder]
-source = "speed"
-kind = "speed"
-"""
-CHANNEL = '[[channels]]\nname = "{0}"\nsource = "{0}"\nquantity = "acceleration"\nunit = "m/s2"\n'
+
+def manifest_of(*channels, name="a", files=("*.h5",), rate_hz="1000.0", more=""):
+    """Text of a manifest of a rotor: these channels, and what is to stand behind all."""
+    listed = "".join(f'[[channels]]\nname = "{one}"\nunit = "m/s2"\n' for one in channels)
+    return (
+        f'schema_version = 1\n[test]\nname = "{name}"\ncycle = "rotor"\n[recordings]\nfiles = {json.dumps(files)}\n'
+        f'[sampling]\nrate_hz = {rate_hz}\n[encoder]\nsource = "speed"\nkind = "speed"\n{listed}{more}'
+    )
+
+
 TIMES = 10.0
 """How often the processor time of a short refusal a request may take: 2 s where that is 0.2 s, on any machine."""
 
@@ -49,24 +45,19 @@ def folder_of(place, manifest):
 
 
 MANIFESTS: dict[str, Callable[[], str]] = {
-    "90,000 channels": lambda: HEAD.format(name="a") + "".join(CHANNEL.format(f"c{k}") for k in range(90_000)),
-    "300,000 unknown keys": lambda: (
-        HEAD.format(name="a") + CHANNEL.format("a") + "[x]\n" + "".join(f"k{k} = 1\n" for k in range(300_000))
-    ),
-    "100,000 missing files": lambda: (
-        HEAD.format(name="a").replace('["*.h5"]', "[" + ", ".join(f'"m{k}.h5"' for k in range(100_000)) + "]")
-        + CHANNEL.format("a")
-    ),
-    "a key of 20,000 parts": lambda: HEAD.format(name="a") + CHANNEL.format("a") + ".".join(["k"] * 20_000) + " = 1\n",
-    "a number of 5,000 digits": lambda: HEAD.format(name="a").replace("1000.0", "9" * 5_000) + CHANNEL.format("a"),
-    "a table 100,000 deep": lambda: HEAD.format(name="a") + "x = " + "[" * 100_000 + "]" * 100_000,
+    "90,000 channels": lambda: manifest_of(*(f"c{k}" for k in range(90_000))),
+    "300,000 unknown keys": lambda: manifest_of("a", more="[x]\n" + "".join(f"k{k} = 1\n" for k in range(300_000))),
+    "100,000 missing files": lambda: manifest_of("a", files=[f"m{k}.h5" for k in range(100_000)]),
+    "a key of 20,000 parts": lambda: manifest_of("a", more=".".join(["k"] * 20_000) + " = 1\n"),
+    "a number of 5,000 digits": lambda: manifest_of("a", rate_hz="9" * 5_000),
+    "a table 100,000 deep": lambda: manifest_of("a", more="x = " + "[" * 100_000 + "]" * 100_000),
 }
 
 
 @pytest.fixture(scope="module")
 def short_s(tmp_path_factory):
     """Processor seconds in which a manifest of a few lines is refused."""
-    folder = folder_of(tmp_path_factory.mktemp("short") / "data", HEAD.format(name="a"))
+    folder = folder_of(tmp_path_factory.mktemp("short") / "data", manifest_of())
     return min(crankorder("check", folder)[1] for _ in range(3))
 
 
@@ -80,18 +71,17 @@ def test_i8_i9_an_endless_manifest_is_refused_in_ten_times_a_short_one_at_most(w
     assert len(said) < 100_000
 
 
-def test_i8_a_recipe_of_900_characters_is_no_recipe(tmp_path):
-    folder = folder_of(tmp_path / "data", HEAD.format(name="a") + CHANNEL.format("a"))
-    made, _ = crankorder("run", folder, "--out", tmp_path / "out", "--recipe", "r" * 900)
-    assert made.returncode == 2 and b"Traceback" not in made.stderr
-    assert not (tmp_path / "out").exists()
-
-
-def test_i8_a_link_that_leads_to_itself_is_told(tmp_path):
-    (tmp_path / "loop").symlink_to(tmp_path / "loop")
-    for arguments in (("check", tmp_path / "loop"), ("run", tmp_path / "loop", "--out", tmp_path / "out")):
+def test_i8_a_recipe_of_900_characters_is_no_recipe_and_a_link_that_leads_to_itself_is_told(tmp_path):
+    folder, out, loop = folder_of(tmp_path / "data", manifest_of("a")), tmp_path / "out", tmp_path / "loop"
+    loop.symlink_to(loop)
+    for arguments in (
+        ("run", folder, "--out", out, "--recipe", "r" * 900),
+        ("check", loop),
+        ("run", loop, "--out", out),
+    ):
         made, _ = crankorder(*arguments)
         assert made.returncode in (2, 3) and b"Traceback" not in made.stderr
+    assert not out.exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
@@ -113,8 +103,7 @@ def test_i8_a_closed_stderr_and_no_home_change_nothing(tmp_path):
 def test_i7_kernels_are_kept_only_where_nobody_else_can_write(tmp_path):
     """A folder of the expected name that others may write is passed over."""
     guess = tmp_path / f"crankorder-kernels-{os.getuid()}"
-    guess.mkdir(mode=0o777)
-    guess.chmod(0o777)
+    guess.mkdir()
     program = (
         "import os, stat; os.access = lambda *unused: False\n"
         "from crankorder.cli import keep_compiled_kernels\n"
@@ -123,17 +112,16 @@ def test_i7_kernels_are_kept_only_where_nobody_else_can_write(tmp_path):
     )
     surroundings = {**os.environ, "TMPDIR": str(tmp_path)}
     surroundings.pop("NUMBA_CACHE_DIR", None)
-    made = subprocess.run([sys.executable, "-c", program], env=surroundings, capture_output=True, check=True)
-    place, mode = made.stdout.decode().rsplit(maxsplit=1)
-    assert Path(place) != guess and mode == "0o700"
-    guess.chmod(0o700)
-    made = subprocess.run([sys.executable, "-c", program], env=surroundings, capture_output=True, check=True)
-    assert Path(made.stdout.decode().rsplit(maxsplit=1)[0]) == guess
+    for mode, taken in ((0o777, False), (0o700, True)):
+        guess.chmod(mode)
+        made = subprocess.run([sys.executable, "-c", program], env=surroundings, capture_output=True, check=True)
+        place, own = made.stdout.decode().rsplit(maxsplit=1)
+        assert (Path(place) == guess) is taken and own == "0o700"
 
 
 def test_i10_a_name_cannot_write_on_the_terminal(tmp_path):
     name = "a\\u001b[31m\\u0007\\u202eb"
-    folder = folder_of(tmp_path / "data", HEAD.format(name=name) + CHANNEL.format("a"))
+    folder = folder_of(tmp_path / "data", manifest_of("a", name=name))
     made, _ = crankorder("run", folder, "--out", tmp_path / "out", "--dry-run")
     said = made.stdout + made.stderr
     assert made.returncode == 0, said
@@ -144,22 +132,16 @@ def logged_in(out, event):
     return sum(path.read_text().count(f" {event}:") for path in out.glob(".crankorder-logs/*"))
 
 
-@pytest.fixture(scope="module")
-def campaign(tmp_path_factory):
-    data: Path = tmp_path_factory.mktemp("campaign") / "data"
-    assert crankorder("synth", "thesis-second-motoring", "--quick", "--out", data, "-q")[0].returncode == 0
-    return data
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="children are looked up in /proc")
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_f2_a_run_that_is_told_to_end_begins_nothing_more_and_goes_on_later(
-    number, status, campaign, short_s, tmp_path
+    number, status, campaign_at, short_s, tmp_path
 ):
     """The 5 s of the catalogue are processor time here: what is left to do does not depend on the machine."""
     out = tmp_path / "out"
-    command = ("run", campaign, "--out", out, "--recipe", "maps", "-q", "--jobs", "1")
+    folder = campaign_at(tmp_path / "data", *range(1000, 1500, 100))
+    command = ("run", folder, "--out", out, "--recipe", "maps", "-q", "--jobs", "1")
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with started("-m", "crankorder", *command, stderr=subprocess.PIPE) as process:
         while logged_in(out, "recording computed") < 2:

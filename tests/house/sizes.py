@@ -7,14 +7,13 @@ import re
 import sys
 import tokenize
 import tomllib
-from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
 
 SIZES = Path(__file__).with_name("sizes.toml")
 PROJECT = Path(__file__).resolve().parents[2]
 TREES = {"src": Path("src"), "tests": Path("tests")}
 PACKAGE = "crankorder"
+KINDS = ("lines", "files")
 
 SLACK_LINES = 50
 """Lines by which a tree may be smaller than its limit before the limit must be written anew."""
@@ -66,72 +65,52 @@ def _lines_of(node: ast.stmt | ast.expr) -> range:
     return range(node.lineno, (node.end_lineno or node.lineno) + 1)
 
 
-@dataclass
-class Sizes:
-    """Lines of code and files of one tree, by room."""
-
-    lines: Counter[str] = field(default_factory=Counter)
-    files: Counter[str] = field(default_factory=Counter)
-
-    @property
-    def totals(self) -> dict[str, int]:
-        """Lines and files of all rooms."""
-        return {"lines": self.lines.total(), "files": self.files.total()}
-
-
-def measured(folder: Path) -> Sizes:
-    """Sizes of the rooms of a folder: its own folders, or those of the package; files in none are the room ``root``.
-
-    Parameters
-    ----------
-    folder
-        The folder.
-    """
-    sizes = Sizes()
+def measured(folder: Path) -> dict[str, list[int]]:
+    """Lines of code and files by room: the folders of ``folder`` or of its package; ``root`` are files in none."""
+    rooms: dict[str, list[int]] = {}
     for path in folder.rglob("*.py"):
         parts = path.relative_to(folder).parts
         parts = parts[1:] if parts[0] == PACKAGE else parts
-        room = parts[0] if len(parts) > 1 else "root"
         text = path.read_text(encoding="utf-8")
-        sizes.lines[room] += len(code_lines(text, ast.parse(text)))
-        sizes.files[room] += 1
-    return sizes
+        size = rooms.setdefault(parts[0] if len(parts) > 1 else "root", [0, 0])
+        size[0] += len(code_lines(text, ast.parse(text)))
+        size[1] += 1
+    return rooms
 
 
-def growth(name: str, now: Sizes, limits: dict) -> list[str]:
+def totals(rooms: dict[str, list[int]]) -> dict[str, int]:
+    """Lines and files of all ``rooms``."""
+    return dict(zip(KINDS, map(sum, zip(*rooms.values(), strict=True)), strict=True))
+
+
+def growth(name: str, rooms: dict[str, list[int]], limits: dict) -> list[str]:
     """What of the tree ``name`` is larger than its committed ``limits`` allow, with the rooms that grew."""
-    grown = [
+    told = [
         f"{name}: {count} {kind}, {count - limits[kind]} more than {limits[kind]}"
-        for kind, count in now.totals.items()
+        for kind, count in totals(rooms).items()
         if count > limits[kind]
     ]
-    before = {room: dict(zip(("lines", "files"), sizes, strict=True)) for room, sizes in limits["rooms"].items()}
-    rooms = [
-        f"  {room}: {count:+d} {kind}"
-        for kind in ("lines", "files")
-        for room in sorted(now.lines)
-        if (count := getattr(now, kind)[room] - before.get(room, {}).get(kind, 0)) > 0
-    ]
-    return grown and [*grown, *rooms]
+    before = limits["rooms"]
+    more = {room: [size[k] - before.get(room, (0, 0))[k] for k in (0, 1)] for room, size in sorted(rooms.items())}
+    return told and told + [f"  {room}: {n:+d} lines, {m:+d} files" for room, (n, m) in more.items() if max(n, m) > 0]
 
 
-def slack(name: str, now: Sizes, limits: dict) -> list[str]:
+def slack(name: str, rooms: dict[str, list[int]], limits: dict) -> list[str]:
     """What of the tree ``name`` is so much smaller than its committed ``limits`` that they no longer hold it."""
     return [
         f"{name}: {count} {kind}, {limits[kind] - count} less than {limits[kind]}: run `python tests/house/sizes.py`"
-        for kind, count in now.totals.items()
+        for kind, count in totals(rooms).items()
         if count < limits[kind] - (SLACK_LINES if kind == "lines" else 0)
     ]
 
 
-def as_text(sizes: dict[str, Sizes], reasons: dict[str, str]) -> str:
+def as_text(sizes: dict[str, dict[str, list[int]]], reasons: dict[str, str]) -> str:
     """The text of ``sizes.toml`` for ``sizes``, by tree; ``reasons`` are the comments to keep, by what they follow."""
     parts = [HEAD]
-    for name, size in sizes.items():
-        rows = [f"{kind} = {count}" for kind, count in size.totals.items()]
-        rows = [row + reasons.get(f"{name}.{row.partition(' ')[0]}", "") for row in rows]
-        rooms = [f"{room} = [{size.lines[room]}, {size.files[room]}]" for room in sorted(size.lines)]
-        parts.append("\n".join([f"[{name}]", *rows, "", f"[{name}.rooms] # lines, files", *rooms, ""]))
+    for name, rooms in sizes.items():
+        rows = [f"{kind} = {count}" + reasons.get(f"{name}.{kind}", "") for kind, count in totals(rooms).items()]
+        listed = [f"{room} = {size}" for room, size in sorted(rooms.items())]
+        parts.append("\n".join([f"[{name}]", *rows, "", f"[{name}.rooms] # lines, files", *listed, ""]))
     return "\n".join(parts)
 
 
@@ -151,15 +130,12 @@ def main() -> int:
     argparse.ArgumentParser(description=__doc__).parse_args()
     text = SIZES.read_text(encoding="utf-8")
     limits, now = tomllib.loads(text), {name: measured(PROJECT / folder) for name, folder in TREES.items()}
-    grown = [line for name, sizes in now.items() for line in growth(name, sizes, limits[name])]
+    grown = [line for name, rooms in now.items() for line in growth(name, rooms, limits[name])]
     if grown:
         print("not written, for sizes only fall:", *grown, sep="\n", file=sys.stderr)
         return 1
     SIZES.write_text(as_text(now, reasons_of(text)), encoding="utf-8")
-    print(
-        *(f"{name}: {sizes.totals['lines']} lines in {sizes.totals['files']} files" for name, sizes in now.items()),
-        sep="\n",
-    )
+    print(*(f"{name}: {totals(rooms)}" for name, rooms in now.items()), sep="\n")
     return 0
 
 

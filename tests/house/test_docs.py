@@ -74,10 +74,8 @@ def test_the_readme_can_be_read_at_once_and_its_links_lead_somewhere(project_roo
 def test_every_page_of_the_documentation_is_in_a_table_of_contents(project_root):
     """A page that is in none has no way to it, and ends the building with a warning."""
     docs = project_root / "docs"
-    entries = "\n".join(
-        re.findall(r"```\{toctree\}(.*?)```", (docs / "index.md").read_text(encoding="utf-8"), re.DOTALL)
-    )
-    named = [line for line in entries.splitlines() if line and not line.startswith(":")]
+    tables = re.findall(r"```\{toctree\}(.*?)```", (docs / "index.md").read_text(encoding="utf-8"), re.DOTALL)
+    named = [line for table in tables for line in table.splitlines() if line and not line.startswith(":")]
     listed = {page for name in named for page in docs.glob(f"{name}.md")}
     pages = {page for page in docs.rglob("*.md") if "_build" not in page.parts} - {docs / "index.md"}
     assert not [page.relative_to(docs).as_posix() for page in sorted(pages - listed)]
@@ -91,7 +89,5 @@ def test_pages_that_are_executed_are_executed_in_short_too(project_root):
     assert short is not None
     run = {page for pattern in short[1].split() for page in project_root.glob(pattern)}
     blocks = re.compile(r"^```\{(run|python)\}", re.MULTILINE)
-    executed = {
-        page for page in (project_root / "docs").rglob("*.md") if blocks.search(page.read_text(encoding="utf-8"))
-    }
-    assert not [page.name for page in sorted(executed - run) if "_build" not in page.parts]
+    pages = {page for page in (project_root / "docs").rglob("*.md") if "_build" not in page.parts}
+    assert not [page.name for page in pages - run if blocks.search(page.read_text(encoding="utf-8"))]

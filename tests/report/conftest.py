@@ -1,5 +1,6 @@
 """Synthetic maps, tracks and findings to draw: what a report must show is put in here, so that the tests know it."""
 
+import functools
 import json
 from dataclasses import dataclass
 from typing import Any
@@ -52,79 +53,75 @@ def _response(frequency_hz):
     for number, mode_hz in enumerate(MODES_HZ):
         ratio = frequency_hz / mode_hz
         peak = 1 / np.sqrt((1 - ratio**2) ** 2 + (2 * DAMPING * ratio) ** 2)
-        total = total + (0.25 + 0.05 * number) * ratio**2 * peak * np.exp(-np.abs(np.log(ratio + 1e-9)) * 4)
-    return np.asarray(total)
+        total += (0.25 + 0.05 * number) * ratio**2 * peak * np.exp(-np.abs(np.log(ratio + 1e-9)) * 4)
+    return total
 
 
-def _line(order, speeds, gain):
+def _line(order, speeds):
     """Peak amplitude of one order over speed: a square law for all but 5.5, which keeps its size."""
     frequency = order * speeds / 60
     law = np.ones_like(speeds) if order == 5.5 else (speeds / 2000) ** 2
     late = np.where(speeds > 1500, 1.0, 0.02) if order in (3.0, 4.0, 8.0, 10.0) else 1.0
-    return np.asarray(gain * STRENGTH.get(order, 0.02 / order) * law * late * _response(frequency))
+    return STRENGTH.get(order, 0.02 / order) * law * late * _response(frequency)
+
+
+def _dataset(noun, coords, axes, values, attrs):
+    """A dataset with the dims and units that its schema states, of ``values`` by variable and its two ``axes``."""
+    rules = schema_of(noun)["properties"]["variables"]["properties"]
+    stated = {
+        name: (rule["properties"]["dims"]["enum"][0], rule["properties"]["units"]) for name, rule in rules.items()
+    }
+    made = {name: (dims, values[name], units) for name, (dims, units) in stated.items() if name in values}
+    made = {name: (dims, data, {"units": units.get("const", "1")}) for name, (dims, data, units) in made.items()}
+    units = {name: {"units": stated[name][1]["const"]} for name in axes}
+    dataset = xr.Dataset(made, coords | {name: (name, data, units[name]) for name, data in axes.items()}, attrs)
+    check_dataset(dataset, noun)
+    return dataset
 
 
 def _campbell(speeds, coords, orders, gains):
     frequency = np.arange(0, 500.25, 0.5)
-    rng = np.random.default_rng(2)
     shape = (len(gains), len(speeds), len(frequency))
     floor = 4e-4 * _response(frequency) * (0.4 + speeds[:, None] / 2000)
-    power = gains[:, None, None] ** 2 * floor**2 * rng.gamma(8, 1 / 8, shape)
+    power = floor**2 * np.random.default_rng(2).gamma(8, 1 / 8, shape)
     for order in orders:
-        line = _line(order, speeds, 1.0)
-        lobe = np.sinc((frequency[None, :] - order * speeds[:, None] / 60) / 0.9) ** 4
-        lobe[np.abs(frequency[None, :] - order * speeds[:, None] / 60) > 0.9] = 0
-        power = power + gains[:, None, None] ** 2 * (line[:, None] * np.sqrt(lobe)) ** 2
-    dims = ("channel", "speed", "frequency")
-    return xr.Dataset(
-        {
-            "amplitude": (dims, np.sqrt(power), {"units": "see unit", "long_name": "peak amplitude of a tone"}),
-            "psd": (dims, power / 1.5, {"units": "see unit, squared per Hz", "long_name": "power spectral density"}),
-            "n_frames": ("speed", np.full(len(speeds), 14), {"units": "1"}),
-        },
-        coords
-        | {"speed": ("speed", speeds, {"units": "min-1"}), "frequency": ("frequency", frequency, {"units": "Hz"})},
-        {"window": "hann", "enbw_hz": 0.75, "resolution_hz": 0.5, "amplitude_scaling": "peak"},
-    )
+        apart_hz = frequency - order * speeds[:, None] / 60
+        lobe = np.where(np.abs(apart_hz) > 0.9, 0.0, np.sinc(apart_hz / 0.9) ** 4)
+        power = power + lobe * _line(order, speeds)[:, None] ** 2
+    power = gains[:, None, None] ** 2 * power
+    values = {"amplitude": np.sqrt(power), "psd": power / 1.5, "n_frames": np.full(len(speeds), 14)}
+    attrs = {"window": "hann", "enbw_hz": 0.75, "resolution_hz": 0.5, "amplitude_scaling": "peak"}
+    return _dataset("campbell_map", coords, {"speed": speeds, "frequency": frequency}, values, attrs)
 
 
 def _tracks(speeds, coords, orders, gains):
     rng = np.random.default_rng(3)
-    amplitude = gains[:, None, None] * np.stack([_line(order, speeds, 1.0) for order in orders])
-    error = gains[:, None, None] * (4e-4 + 0.01 * np.stack([_line(order, speeds, 1.0) for order in orders]))
+    lines = np.stack([_line(order, speeds) for order in orders])
+    amplitude, error = gains[:, None, None] * lines, gains[:, None, None] * (4e-4 + 0.01 * lines)
     phase = np.degrees(np.cumsum(rng.normal(0, 0.25, amplitude.shape), axis=-1)) - 60 * np.array(orders)[:, None]
-    phase = (phase + 180) % 360 - 180
-    phase = np.where(amplitude > 3 * error, phase, np.nan)
-    dims = ("channel", "order", "speed")
-    return xr.Dataset(
-        {
-            "amplitude": (dims, np.abs(amplitude + error * rng.normal(0, 1, amplitude.shape)), {"units": "see unit"}),
-            "phase": (dims, phase, {"units": "degree"}),
-            "standard_error": (dims, error, {"units": "see unit"}),
-            "band_rms": (dims, amplitude, {"units": "see unit"}),
-            "degrees_of_freedom": (dims, np.full(amplitude.shape, 200.0), {"units": "1"}),
-            "amplitude_low": (dims, np.maximum(amplitude - 1.96 * error, 0), {"units": "see unit"}),
-            "amplitude_high": (dims, amplitude + 1.96 * error, {"units": "see unit"}),
-            "phase_ci95": (dims, np.full(amplitude.shape, 5.0), {"units": "degree"}),
-        },
-        coords | {"order": ("order", list(orders), {"units": "1"}), "speed": ("speed", speeds, {"units": "min-1"})},
-        {"band_width_orders": 0.5, "amplitude_scaling": "peak", "phase_reference": "tdc"},
-    )
+    values = {
+        "amplitude": np.abs(amplitude + error * rng.normal(0, 1, amplitude.shape)),
+        "phase": np.where(amplitude > 3 * error, (phase + 180) % 360 - 180, np.nan),
+        "standard_error": error, "band_rms": amplitude,
+        "degrees_of_freedom": np.full(amplitude.shape, 200.0), "phase_ci95": np.full(amplitude.shape, 5.0),
+        "amplitude_low": np.maximum(amplitude - 1.96 * error, 0), "amplitude_high": amplitude + 1.96 * error,
+    }  # fmt: skip
+    attrs = {"band_width_orders": 0.5, "amplitude_scaling": "peak", "phase_reference": "tdc"}
+    return _dataset("order_tracks", coords, {"order": list(orders), "speed": speeds}, values, attrs)
 
 
 def _order_map(speeds, coords, gains):
     """Every variable and attribute that the schema asks for: the report stores an order map and draws none."""
-    order = np.arange(0, 20.03, 1 / 16)
-    axes = {"speed": ("speed", speeds, {"units": "min-1"}), "order": ("order", order, {"units": "1"})}
-    size = {"channel": len(gains), "speed": len(speeds), "order": len(order)}
+    axes = {"speed": speeds, "order": np.arange(0, 20.03, 1 / 16)}
+    size = {"channel": len(gains)} | {name: len(axis) for name, axis in axes.items()}
     rng, schema = np.random.default_rng(4), schema_of("order_map")["properties"]
-    variables = {}
-    for name, rule in schema["variables"]["properties"].items():
-        dims = rule["properties"]["dims"]["enum"][0]
-        if name not in {*coords, *axes}:
-            values = rng.gamma(8, 1e-4, [size[dim] for dim in dims])
-            variables[name] = (dims, values, {"units": rule["properties"]["units"].get("const", "1")})
-    return xr.Dataset(variables, coords | axes, dict.fromkeys(schema["attrs"]["required"], "stated"))
+    dims = {name: rule["properties"]["dims"]["enum"][0] for name, rule in schema["variables"]["properties"].items()}
+    values = {
+        name: rng.gamma(8, 1e-4, [size[dim] for dim in own])
+        for name, own in dims.items()
+        if name not in {*coords, *axes}
+    }
+    return _dataset("order_map", coords, axes, values, dict.fromkeys(schema["attrs"]["required"], "stated"))
 
 
 def _met_hz(order, rpm):
@@ -212,66 +209,57 @@ def _findings(tracks, channels, unit, quantity, name):
     }  # fmt: skip
 
 
+STEPS = np.arange(300.0, 2001.0, 50.0)
+
+
 def drawn_test(
-    speeds, *, channels = ("X", "Y", "Z"), orders = ORDERS,
-    unit = "m/s2", quantity = "acceleration", name = "second configuration, motoring",
-    gains = (0.25, 0.5, 1.0)
+    speeds=STEPS, *, channels=("X", "Y", "Z"), orders=ORDERS, unit="m/s2", quantity="acceleration",
+    name="second configuration, motoring", gains=(0.25, 0.5, 1.0),
 ):  # fmt: skip
     """A test with the given lines and the modes above; gains scale the channels (0 makes an all-zero one)."""
-    speeds = np.asarray(speeds, dtype=float)
     gain = np.resize(np.array(gains), len(channels))
     coords = named(channels, unit, quantity)
     tracks = _tracks(speeds, coords, orders, gain)
-    drawn = DrawnTest(
+    return DrawnTest(
         _campbell(speeds, coords, orders, gain), _order_map(speeds, coords, gain), tracks,
         _findings(tracks, channels, unit, quantity, name),
     )  # fmt: skip
-    for dataset, noun in ((drawn.campbell, "campbell_map"), (drawn.order_map, "order_map"), (tracks, "order_tracks")):
-        check_dataset(dataset, noun)
-    return drawn
 
 
 HOSTILE = "Ba$$in <script>alert(1)</script>"
+RUN_UP = np.sort(np.random.default_rng(7).uniform([900.0] * 110 + [4000.0] * 40, [2600.0] * 110 + [4900.0] * 40))
+DRAWN: dict[str, dict[str, Any]] = {
+    "campaign": {},
+    "one speed": {"speeds": np.array([1800.0]), "orders": (1.0, 2.0, 5.5)},
+    "run-up": {
+        "speeds": RUN_UP, "orders": (2.0, 4.0, 10.0, 15.0), "unit": "Pa", "quantity": "sound_pressure",
+        "channels": ("mic",),
+    },
+    "hostile": {"channels": (HOSTILE,), "name": "$\\frac{ </title><script>" + "x" * 10_000},
+    "all zero": {"speeds": STEPS[:5], "gains": (0.0,)},
+    "sixty orders": {"orders": tuple(np.arange(1, 61) / 2.0)},
+    "eight channels": {"channels": tuple(f"acc_{k}" for k in range(1, 9)), "gains": (1.0, 0.3, 3.0)},
+    "counts": {"channels": ("raw",), "unit": "counts", "quantity": "other", "orders": (1.0,)},
+}  # fmt: skip
+"""The reference campaign, 35 steps of three accelerometers, and awkward tests: what is drawn of each."""
 
 
 @pytest.fixture(scope="session")
-def hard():
-    """The awkward tests, by name."""
-    rng = np.random.default_rng(7)
-    run_up = np.sort(np.concatenate([rng.uniform(900, 2600, 110), rng.uniform(4000, 4900, 40)]))
-    steps = np.arange(300.0, 2001.0, 50.0)
-    thirty, sixty = (tuple(float(k) for k in np.arange(0.5, last, 0.5)) for last in (15.1, 30.1))
-    return {
-        "one speed": drawn_test(np.array([1800.0]), orders=(1.0, 2.0, 5.5)),
-        "two speeds": drawn_test(np.array([600.0, 1800.0]), orders=(1.0, 2.0, 4.0)),
-        "run-up": drawn_test(
-            run_up, orders=(2.0, 4.0, 10.0, 15.0), unit="Pa", quantity="sound_pressure", channels=("mic",)
-        ),
-        "hostile": drawn_test(steps, channels=(HOSTILE,), name="$\\frac{ </title><script>" + "x" * 10_000),
-        "all zero": drawn_test(steps[:5], gains=(0.0,)),
-        "sixty orders": drawn_test(steps, orders=sixty),
-        "thirty orders": drawn_test(steps, orders=thirty),
-        "eight channels": drawn_test(steps, channels=tuple(f"acc_{k}" for k in range(1, 9)), gains=(1.0, 0.3, 3.0)),
-        "counts": drawn_test(steps, channels=("raw",), unit="counts", quantity="other", orders=(1.0,)),
-    }
+def drawn_of():
+    """Maker of the test of a name in ``DRAWN``, each made once."""
+    return functools.cache(lambda name: drawn_test(**DRAWN[name]))
 
 
 @pytest.fixture(scope="session")
-def campaign():
-    """The reference campaign: 35 steps, three accelerometers."""
-    return drawn_test(np.arange(300.0, 2001.0, 50.0))
+def campaign(drawn_of):
+    """The reference campaign."""
+    return drawn_of("campaign")
 
 
 @pytest.fixture(scope="session")
 def settings():
     """The shipped settings of the report."""
     return load_settings().report
-
-
-@pytest.fixture(scope="session")
-def make_test():
-    """Maker of a drawn test from speeds, channels, orders, unit and gains."""
-    return drawn_test
 
 
 @pytest.fixture
@@ -301,12 +289,11 @@ def full(campaign):
         record |= {"amplification": 12.0, "amplification_ci95": [10.0, 14.0]} if excited else {"amplification": None}
         record |= {"channels": channels[-1:], "evidence": "rises 12 times over its trend" if excited else "no rise"}
     avoid = {"channel": channels[-1], "unit": "m/s2", "amplification": 12.0, "reason": "the order rises there"}
-    told = ("rank", "rpm", "rpm_range", "orders", "modes_hz", "order", "mode_hz", "amplitude")
-    worst = (
-        (1, 1800.0, [1755.0, 1850.0], [2.0], [60.0], 2.0, 60.0, 3.7),
-        (2, 1725.0, [1690.0, 1760.0], [4.0, 8.0], [115.0, 230.0], 4.0, 115.0, 3.4),
-    )
-    findings["speeds_to_avoid"] = [{**avoid, "by_fit": True, **dict(zip(told, one, strict=True))} for one in worst]
+    avoid |= {"by_fit": True, "rank": 1, "rpm": 1800.0, "rpm_range": [1755.0, 1850.0], "amplitude": 3.7}
+    avoid |= {"orders": [2.0], "order": 2.0, "modes_hz": [60.0], "mode_hz": 60.0}
+    second = {"rank": 2, "rpm": 1725.0, "rpm_range": [1690.0, 1760.0], "amplitude": 3.4}
+    second |= {"orders": [4.0, 8.0], "order": 4.0, "modes_hz": [115.0, 230.0], "mode_hz": 115.0}
+    findings["speeds_to_avoid"] = [avoid, avoid | second]
     excluded = "the data exclude that an order is amplified more than 3 times (99 %)"
     free = {"low_rpm": 300.0, "high_rpm": 1690.0, "remark": excluded}
     findings["free_bands"] = [free, {**free, "low_rpm": 1850.0, "high_rpm": 2000.0}]
@@ -328,26 +315,15 @@ def full(campaign):
     return findings
 
 
-@pytest.fixture(scope="session")
-def make_envelope():
-    """Maker of an envelope map from channels, speeds and the order of a fault."""
-    return envelope_map
-
-
 def overlaps(drawing):
     """Pairs of texts whose boxes overlap by more than a hair, and texts that leave the sheet."""
-    boxes = []
-    for words in drawing.words:
-        x, y, width, height = words.box
-        if x < 0 or y < 0 or x + width > drawing.width_in or y + height > drawing.height_in:
-            return [(words.text, "edge of the sheet")]
-        boxes.append((words.text, x + 0.03 * width, y + 0.03 * height, x + 0.97 * width, y + 0.97 * height))
-    return [
-        (one[0], two[0])
-        for number, one in enumerate(boxes)
-        for two in boxes[number + 1 :]
-        if one[1] < two[3] and two[1] < one[3] and one[2] < two[4] and two[2] < one[4]
-    ]
+    shown, boxes = drawing.words, np.array([words.box for words in drawing.words])
+    low, high = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
+    beyond = np.any((low < 0) | (high > [drawing.width_in, drawing.height_in]), axis=1)
+    low, high = low + 0.03 * boxes[:, 2:], high - 0.03 * boxes[:, 2:]
+    meet = np.argwhere(np.all((low[:, None] < high) & (low < high[:, None]), axis=2))
+    pairs = [(shown[one].text, shown[other].text) for one, other in meet if one < other]
+    return [(shown[number].text, "edge of the sheet") for number in np.flatnonzero(beyond)] + pairs
 
 
 def texts(drawing):

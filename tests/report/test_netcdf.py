@@ -1,6 +1,5 @@
 """The results file: the same bytes each time, checksummed, readable by others, and back without loss."""
 
-import hashlib
 import json
 import subprocess
 import sys
@@ -30,22 +29,11 @@ with netCDF4.Dataset(sys.argv[1]) as file:
     print(json.dumps({
         "conventions": file.Conventions, "groups": sorted(file.groups), "findings": sorted(file["findings"].groups),
         "dims": amplitude.dimensions, "sum": float(amplitude[:].sum(dtype="f8")), "units": campbell["speed"].units,
-        "filters": amplitude.filters(), "channel": campbell["channel"][:].tolist(),
+        "filters": [amplitude.filters()[name] for name in ("zlib", "shuffle", "fletcher32")],
+        "channel": campbell["channel"][:].tolist(),
         "speed": campbell["speed"][:].tolist(), "order": file["findings/orders/order"][:].tolist(),
         "explained": file["findings/orders/explained_by"][:].tolist(),
     }))
-"""
-_WRITE_AGAIN = """
-import hashlib, sys
-import numpy as np
-sys.path.insert(0, sys.argv[1])
-from report.conftest import drawn_test
-from crankorder.findings import Findings
-from crankorder.report.netcdf import findings_datasets, results_bytes
-test = drawn_test(np.arange(300.0, 2001.0, 50.0))
-groups = {"order_map": test.order_map, "campbell_map": test.campbell, "order_tracks": test.tracks}
-findings = findings_datasets(Findings.from_dict(test.findings))
-print(hashlib.sha256(results_bytes(groups | findings, attrs={"title": "t"})).hexdigest())
 """
 
 
@@ -80,17 +68,18 @@ def test_what_is_read_back_is_what_was_written_and_fits_its_schema(groups, file)
         check_dataset(read[noun], noun)
 
 
-def test_values_beyond_single_precision_keep_64_bits(tmp_path):
-    values = np.array([[1e-300, 0.0], [1e300, 1.0]])
+def test_values_beyond_single_precision_keep_64_bits_and_complex_spectra_their_parts(tmp_path):
+    values, spectrum = np.array([[1e-300, 0.0], [1e300, 1.0]]), np.exp(1j * np.arange(6.0)).reshape(2, 3)
+    given = {"amplitude": (("a", "b"), values), "spectrum": (("frame", "order"), spectrum, {"units": "see unit"})}
     path = tmp_path / "r.nc"
-    path.write_bytes(results_bytes({"g": xr.Dataset({"amplitude": (("a", "b"), values)})}, attrs={}))
-    np.testing.assert_array_equal(read_results(path)["g"]["amplitude"].values, values)
+    path.write_bytes(results_bytes({"g": xr.Dataset(given)}, attrs={}))
+    again = read_results(path)["g"]
+    np.testing.assert_array_equal(again["amplitude"].values, values)
+    np.testing.assert_allclose(again["spectrum"].values, spectrum, rtol=1e-6)
+    assert again["spectrum"].attrs == {"units": "see unit"}
 
 
-def test_the_bytes_are_the_same_in_another_process_and_in_any_order_of_groups(groups):
-    command = [sys.executable, "-c", _WRITE_AGAIN, str(Path(__file__).parents[1])]
-    other = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
-    assert hashlib.sha256(results_bytes(groups, attrs={"title": "t"})).hexdigest() == other
+def test_the_bytes_are_the_same_in_any_order_of_groups_and_attributes(groups):
     turned = dict(reversed(groups.items()))
     assert results_bytes(groups, attrs={"a": 1, "b": 2}) == results_bytes(turned, attrs={"b": 2, "a": 1})
 
@@ -99,29 +88,15 @@ def test_netcdf4_reads_the_same_values_and_finds_the_checksums(file, groups):
     pytest.importorskip("netCDF4", reason="netCDF4 is a development dependency")
     command = [sys.executable, "-c", _READ_BY_NETCDF4, str(file)]
     said = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-    assert said["conventions"] == "CF-1.11, ACDD-1.3"
-    assert said["groups"] == ["campbell_map", "findings", "order_map", "order_tracks"]
-    assert {"orders", "modes", "crossings", "bearings", "quality"} <= set(said["findings"])
-    assert said["dims"] == ["channel", "speed", "frequency"]
-    assert said["sum"] == pytest.approx(float(groups["campbell_map"]["amplitude"].sum()), rel=1e-6)
-    assert (said["units"], said["channel"]) == ("min-1", ["X", "Y", "Z"])
-    assert said["speed"] == groups["campbell_map"]["speed"].values.tolist()
-    assert (said["filters"]["zlib"], said["filters"]["shuffle"], said["filters"]["fletcher32"]) == (True, True, True)
-    assert said["order"] == groups["findings/orders"]["order"].values.tolist()
-    assert said["explained"] == groups["findings/orders"]["explained_by"].values.tolist()
-
-
-@pytest.mark.slow
-def test_complex_spectra_become_two_variables_and_one_again(tmp_path):
-    values = np.exp(1j * np.arange(6.0)).reshape(2, 3)
-    dataset = xr.Dataset({"spectrum": (("frame", "order"), values, {"units": "see unit"})})
-    path = tmp_path / "r.nc"
-    path.write_bytes(results_bytes({"order_frames": dataset}, attrs={}))
-    with h5py.File(path) as file:
-        assert {"spectrum_real", "spectrum_imag"} <= set(file["order_frames"])
-    again = read_results(path)["order_frames"]["spectrum"]
-    np.testing.assert_allclose(again.values, values, rtol=1e-6)
-    assert again.attrs == {"units": "see unit"}
+    campbell, orders = groups["campbell_map"], groups["findings/orders"]
+    assert said.pop("sum") == pytest.approx(float(campbell["amplitude"].sum()), rel=1e-6)
+    assert {"orders", "modes", "crossings", "bearings", "quality"} <= set(said.pop("findings"))
+    assert said == {
+        "conventions": "CF-1.11, ACDD-1.3", "groups": ["campbell_map", "findings", "order_map", "order_tracks"],
+        "dims": ["channel", "speed", "frequency"], "units": "min-1", "filters": [True, True, True],
+        "channel": ["X", "Y", "Z"], "speed": campbell["speed"].values.tolist(),
+        "order": orders["order"].values.tolist(), "explained": orders["explained_by"].values.tolist(),
+    }  # fmt: skip
 
 
 def test_attributes_of_any_kind_can_be_written(tmp_path):
@@ -155,21 +130,19 @@ def test_records_become_columns_with_units_and_missing_numbers_are_nan():
     assert tables["findings/crossings"]["excited"].values.tolist() == [1, 0]
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("share", [0.999, 0.0, 0.01, 0.5])
-def test_a_cut_results_file_is_refused_by_name(file, share):
+def test_a_cut_results_file_is_refused_by_name(file):
     data = file.read_bytes()
-    file.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(InputError, match=r"results\.nc"):
-        read_results(file)
+    for share in (0.999, 0.5, 0.0):
+        file.write_bytes(data[: int(share * len(data))])
+        with pytest.raises(InputError, match=r"results\.nc"):
+            read_results(file)
 
 
-@pytest.mark.slow
 def test_a_flipped_bit_in_the_data_never_comes_back_as_a_number(file):
     whole, data = read_results(file), file.read_bytes()
     rng = np.random.default_rng(11)
     refused = 0
-    for place in rng.integers(0, len(data), 40):
+    for place in rng.integers(0, len(data), 8):
         damaged = bytearray(data)
         damaged[place] ^= 1 << int(rng.integers(8))
         file.write_bytes(bytes(damaged))
@@ -179,7 +152,7 @@ def test_a_flipped_bit_in_the_data_never_comes_back_as_a_number(file):
             refused += 1
             continue
         np.testing.assert_array_equal(read["campbell_map"]["amplitude"], whole["campbell_map"]["amplitude"])
-    assert refused > 20
+    assert refused > 3
 
 
 def test_a_file_that_reaches_outside_itself_is_refused(tmp_path):
@@ -207,52 +180,13 @@ def test_a_false_size_and_a_foreign_file_are_refused_before_anything_is_allocate
         file.create_group("order_map").create_dataset("amplitude", (10**12,), "f8", chunks=(1000,))
     with h5py.File(foreign, "w") as file:
         file["x"] = 1
-    with pytest.raises(UnsafeInputError, match="too much"):
-        read_results(huge)
-    with pytest.raises(InputError, match="not a results file"):
-        read_results(foreign)
-    with pytest.raises(InputError, match=r"nothing\.nc"):
-        read_results(tmp_path / "nothing.nc")
+    refused = ((huge, "too much"), (foreign, "not a results file"), (tmp_path / "nothing.nc", r"nothing\.nc"))
+    for path, said in refused:
+        with pytest.raises(UnsafeInputError if path == huge else InputError, match=said):
+            read_results(path)
 
 
 # What leaves the program: real units, linked intervals, words that travel; read by the CF compliance checker.
-
-
-_CHECK = """
-import json, sys
-from pathlib import Path
-import netCDF4
-from compliance_checker.runner import ComplianceChecker, CheckSuite
-CheckSuite.load_all_available_checkers()
-
-def groups(group):
-    yield group
-    for inner in group.groups.values():
-        yield from groups(inner)
-
-with netCDF4.Dataset(sys.argv[1]) as file:
-    said = {}
-    for group in groups(file):  # the checker looks at the root alone: each group becomes a file of its own
-        flat = Path(sys.argv[2]) / "flat.nc"
-        with netCDF4.Dataset(flat, "w") as made:
-            made.setncatts({k: owner.getncattr(k) for owner in (file, group) for k in owner.ncattrs()})
-            for dim in group.dimensions.values():
-                made.createDimension(dim.name, len(dim))
-            for one in group.variables.values():
-                kind = str if one.dtype == str else one.dtype
-                new = made.createVariable(one.name, kind, one.dimensions)
-                new.setncatts({k: one.getncattr(k) for k in one.ncattrs()})
-                if one.size:
-                    new[...] = one[...]
-        out = Path(sys.argv[2]) / "said.json"
-        ComplianceChecker.run_checker(
-            str(flat), ["cf:1.11"], 0, "strict", output_filename=str(out), output_format="json")
-        found = json.loads(out.read_text())["cf:1.11"]
-        problems = [m for key in ("high_priorities", "medium_priorities", "low_priorities")
-                    for one in found[key] for m in one["msgs"]]
-        said[group.path] = problems
-print(json.dumps(said))
-"""
 
 
 def mixed(*channels):
@@ -288,7 +222,6 @@ UNITS = (
 )  # fmt: skip
 
 
-@pytest.mark.cases(3)
 @pytest.mark.parametrize(("channels", "units"), UNITS)
 def test_channels_of_several_units_have_a_variable_for_each(channels, units):
     made = with_real_units(mixed(*channels))
@@ -302,7 +235,6 @@ def test_a_variable_of_one_quantity_holds_its_channels_alone_and_names_its_inter
     assert made.attrs["ancillary_variables"] == "amplitude_low_acceleration"
 
 
-@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     "channels",
     [
@@ -345,12 +277,25 @@ def test_columns_say_what_they_are_and_every_ancillary_variable_is_there(campaig
 
 
 def checked(file, work):
-    """What the checker says of each group of ``file``."""
-    command = [sys.executable, "-W", "ignore", "-c", _CHECK, str(file), str(work)]
+    """What the checker of the CF conventions says of each group: it looks at the root of a file alone."""
+    flat = {}
+    with xr.open_datatree(file, engine="h5netcdf", decode_cf=False) as tree:
+        for number, node in enumerate(tree.subtree):
+            flat[node.path] = str(work / f"{number}.nc")
+            dataset = node.to_dataset(inherit=False).assign_attrs(tree.attrs | node.attrs)
+            own = [name for name, one in dataset.variables.items() if "_FillValue" not in one.attrs]
+            none = {name: {"_FillValue": None} for name in own}  # nothing is added to what the file holds
+            dataset.to_netcdf(flat[node.path], engine="h5netcdf", encoding=none)
+    command = [str(Path(sys.executable).with_name("compliance-checker")), "-t", "cf:1.11", "-c", "strict"]
+    command += ["-f", "json_new", "-o", str(work / "said.json"), *flat.values()]
     ended = subprocess.run(command, capture_output=True, text=True)
-    assert ended.returncode == 0, ended.stderr[-2000:]
-    said: dict[str, list[str]] = json.loads(ended.stdout.splitlines()[-1])
-    return said
+    assert (work / "said.json").exists(), ended.stderr[-2000:]
+    found = json.loads((work / "said.json").read_text())
+    said = {group: found[path]["cf:1.11"] for group, path in flat.items()}
+    levels = ("high_priorities", "medium_priorities", "low_priorities")
+    return {
+        group: [text for level in levels for one in told[level] for text in one["msgs"]] for group, told in said.items()
+    }
 
 
 @pytest.mark.slow

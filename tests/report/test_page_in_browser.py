@@ -1,6 +1,6 @@
 """The report page in a real browser: it hovers, zooms, listens to keys, and fetches nothing."""
 
-import time
+from itertools import product
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ import pytest
 from crankorder.report.page import ShownPicture, report_page
 from made import chromium
 from made.typed import from_dicts
+from report.conftest import drawn_test
 
 report_page = from_dicts(report_page)
 
@@ -61,12 +62,16 @@ def _said(browser):
     return str(browser.value("document.getElementById('live-said').textContent"))
 
 
-def _place(browser, x, y):
-    """Pixel of the window at which the diagram has ``x`` and ``y``, by its margins of 58, 62, 26 and 40 pixels."""
-    box = browser.value(
+def _box(browser):
+    return browser.value(
         "(() => { const b = document.getElementById('live-map').getBoundingClientRect();"
         " return [b.left, b.top, b.width, b.height] })()"
     )
+
+
+def _place(browser, x, y):
+    """Pixel of the window at which the diagram has ``x`` and ``y``, by its margins of 58, 62, 26 and 40 pixels."""
+    box = _box(browser)
     x0, x1, y0, y1 = _view(browser)
     across, up = (x - x0) / (x1 - x0), (y - y0) / (y1 - y0)
     return box[0] + 58 + across * (box[2] - 120), box[1] + box[3] - 40 - up * (box[3] - 66)
@@ -93,21 +98,21 @@ def test_pointing_at_a_cell_tells_where_it_is_how_large_and_what_the_findings_sa
 
 
 def test_wheel_drag_and_keys_zoom_and_double_click_shows_all(opened):
-    whole = _view(opened)
-    at = _place(opened, 115.0, 1500.0)
+    def click(x, y, count=1, to=None):
+        opened.mouse("mousePressed", x, y, button="left", clickCount=count)
+        if to is not None:
+            opened.mouse("mouseMoved", *to, button="left", buttons=1)
+        opened.mouse("mouseReleased", *(to or (x, y)), button="left", clickCount=count)
+
+    whole, at = _view(opened), _place(opened, 115.0, 1500.0)
     opened.mouse("mouseWheel", *at, deltaX=0, deltaY=-240)
     near = _view(opened)
-    assert near[1] - near[0] < 0.6 * (whole[1] - whole[0])
-    assert near[0] < 115.0 < near[1]
+    assert near[1] - near[0] < 0.6 * (whole[1] - whole[0]) and near[0] < 115.0 < near[1]
     assert opened.value("window.scrollY") > 0
-    for _ in range(2):
-        opened.mouse("mousePressed", *at, button="left", clickCount=_ + 1)
-        opened.mouse("mouseReleased", *at, button="left", clickCount=_ + 1)
+    click(*at)
+    click(*at, count=2)
     assert _view(opened) == whole
-    start, end = _place(opened, 100.0, 900.0), _place(opened, 300.0, 1900.0)
-    opened.mouse("mousePressed", *start, button="left", clickCount=1)
-    opened.mouse("mouseMoved", *end, button="left", buttons=1)
-    opened.mouse("mouseReleased", *end, button="left", clickCount=1)
+    click(*_place(opened, 100.0, 900.0), to=_place(opened, 300.0, 1900.0))
     np.testing.assert_allclose(_view(opened), [100, 300, 900, 1900], rtol=0.02)
     opened.value("document.getElementById('live-map').focus()")
     opened.key("0")
@@ -126,67 +131,24 @@ def test_arrow_keys_go_from_cell_to_cell_and_are_read_aloud(opened):
     opened.key("ArrowRight")
     opened.key("ArrowUp")
     second = _said(opened)
-    rpm = [float(text.split(" rpm")[0]) for text in (first, second)]
-    hertz = [float(text.split(" · ")[1].split()[0]) for text in (first, second)]
-    assert rpm[1] - rpm[0] == 50
-    assert hertz[1] - hertz[0] == pytest.approx(0.5)
+    (rpm, hertz), (next_rpm, next_hertz) = (
+        [float(part.split()[0]) for part in text.split(" · ")[:2]] for text in (first, second)
+    )
+    assert (next_rpm - rpm, next_hertz - hertz) == (50, pytest.approx(0.5))
     aloud = opened.value("document.getElementById('live-spoken').textContent")
     assert aloud.startswith(second.split(" m/s²")[0])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("view", ["0", "1", "2"])
-@pytest.mark.parametrize("scale", ["db", "linear"])
-def test_every_diagram_is_drawn_on_either_scale(opened, view, scale):
-    _choose(opened, "live-view", view)
-    _choose(opened, "live-scale", scale)
-    colours = opened.value(
-        "(() => { const c = document.getElementById('live-map'), s = new Set(),"
-        " d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
-        " for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | d[i+2]); return s.size })()"
-    )
-    assert colours > 40
-    assert opened.complaints == []
-
-
-def test_names_that_want_to_be_markup_or_formulas_are_text(browser, make_test, settings, tmp_path):
+def test_names_that_want_to_be_markup_or_formulas_are_text(browser, settings, tmp_path):
     browser.complaints.clear()
     names = ("Ba$$in <script>alert(1)</script>", "加速度計 前", '"><img src=x onerror=alert(1)>')
-    drawn = make_test(np.arange(300.0, 2001.0, 50.0), channels=names, name="<b>x</b>" + "y" * 10_000)
+    drawn = drawn_test(np.arange(300.0, 2001.0, 50.0), channels=names, name="<b>x</b>" + "y" * 10_000)
     browser.open(_page(drawn, settings, tmp_path / "hostile.html"))
-    assert browser.value("[...document.getElementById('live-channel').options].map((one) => one.textContent)") == list(
-        names
-    )
+    shown = browser.value("[...document.getElementById('live-channel').options].map((one) => one.textContent)")
+    assert shown == list(names)
     assert browser.value("document.querySelectorAll('img[src=x], h1 b').length") == 0
     assert browser.value("document.querySelectorAll('script:not([type])').length") == 1
     assert browser.complaints == []
-
-
-def _attributes(browser, *selectors):
-    """Attributes of the elements, as soon as the page that is being opened has them; scripts need not run."""
-    browser.ask("DOM.enable")
-    for _ in range(100):
-        time.sleep(0.1)
-        told = {}
-        for selector in selectors:
-            root = browser.ask("DOM.getDocument")["root"]["nodeId"]
-            node = browser.ask("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
-            told[selector] = browser.ask("DOM.getAttributes", nodeId=node)["attributes"] if node else []
-        if all(told.values()):
-            return told
-    raise AssertionError(f"not in the page: {selectors}")
-
-
-def test_without_script_the_picture_stands_there(browser, campaign, settings, tmp_path):
-    browser.ask("Emulation.setScriptExecutionDisabled", value=True)
-    try:
-        browser.ask("Page.navigate", url=_page(campaign, settings, tmp_path / "plain.html").as_uri())
-        time.sleep(0.5)
-        told = _attributes(browser, "#live", "#stills")
-        assert "hidden" in told["#live"]
-        assert "open" in told["#stills"]
-    finally:
-        browser.ask("Emulation.setScriptExecutionDisabled", value=False)
 
 
 _LISTEN = """(() => {
@@ -208,13 +170,6 @@ _LISTEN = """(() => {
 """Keeps every text that a canvas is given: canvas, text, its box in pixels, size of the canvas, whether it lies."""
 
 
-def _middle(browser):
-    return browser.value(
-        "(() => { const b = document.getElementById('live-map').getBoundingClientRect();"
-        " return [b.left + b.width / 2, b.top + b.height / 2] })()"
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 390])
 def test_no_text_of_the_live_diagrams_is_cut_and_none_lies_on_the_name_of_an_axis(opened, width):
@@ -222,27 +177,22 @@ def test_no_text_of_the_live_diagrams_is_cut_and_none_lies_on_the_name_of_an_axi
     opened.settle()
     opened.value(_LISTEN)
     try:
-        for view in ("1", "2", "0"):
-            for scale in ("linear", "db"):
-                opened.value("window.written = []; 1")
-                _choose(opened, "live-scale", scale)
-                _choose(opened, "live-view", view)
-                opened.mouse("mouseMoved", *_middle(opened))
-                written = opened.value("window.written")
-                assert {one[0] for one in written} == {"live-map", "live-cuts"}
-                cut = [
-                    one[1]
-                    for one in written
-                    if one[2] < -1 or one[3] < -1 or one[4] > one[6] + 1 or one[5] > one[7] + 1
-                ]
-                assert not cut, (view, scale, cut)
-                for name in [one for one in written if one[8]]:
-                    on_it = [
-                        one[1]
-                        for one in written
-                        if one[0] == name[0] and not one[8] and one[2] < name[4] and name[2] < one[4]
-                        and one[3] < name[5] and name[3] < one[5]
-                    ]  # fmt: skip
-                    assert not on_it, (view, scale, name[1], on_it)
+        for view, scale in product("120", ("linear", "db")):
+            opened.value("window.written = []; 1")
+            _choose(opened, "live-scale", scale)
+            _choose(opened, "live-view", view)
+            left, top, width_px, height_px = _box(opened)
+            opened.mouse("mouseMoved", left + width_px / 2, top + height_px / 2)
+            written = opened.value("window.written")
+            assert {one[0] for one in written} == {"live-map", "live-cuts"} and opened.complaints == []
+            cut = [one[1] for one in written if min(one[2:4]) < -1 or one[4] > one[6] + 1 or one[5] > one[7] + 1]
+            assert not cut, (view, scale, cut)
+            names, others = ([one for one in written if one[8] is along] for along in (True, False))
+            on_it = [
+                (name[1], one[1])
+                for name, one in product(names, others)
+                if one[0] == name[0] and one[2] < name[4] and name[2] < one[4] and one[3] < name[5] and name[3] < one[5]
+            ]
+            assert not on_it, (view, scale, on_it)
     finally:
         opened.ask("Emulation.clearDeviceMetricsOverride")
