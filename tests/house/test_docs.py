@@ -47,7 +47,7 @@ def test_each_key_of_a_manifest_has_a_meaning_and_an_example_that_is_valid():
 METHOD_PAGES = {
     "ingest": "ingest", "shaft": "shaft", "fft": "fft", "orders": "orders",
     "campbell": "campbell", "checks": "checks", "identify": "lines", "identify/lines": "lines",
-    "identify/modes": "modal", "identify/balance": "balance", "identify/changes": "changes",
+    "identify/modes": "modal", "identify/balance": "balance",
     "engine": "engine", "synth": "synth", "batch": "batch",
 }  # fmt: skip
 WITHOUT_METHOD = {"report", "plot", "interchange"}
