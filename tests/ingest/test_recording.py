@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import InputError
-from crankorder.ingest.check import check_folder
-from crankorder.ingest.folder import recordings_of
+from crankorder.ingest.folder import check_folder, recordings_of
 from crankorder.ingest.manifest import load_manifest
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.shaft.angle import angle_at
