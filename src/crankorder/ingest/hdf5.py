@@ -101,28 +101,18 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     with _opened(path) as file:
         columns = _columns_of(file, settings)
         names = names_of(sources, list(columns), path)
-        wanted = {name: columns[name] for name in names.values()}
+        wanted = {name: columns[name] for name in names.values()} or columns
         used = {column.dataset: column.opened for column in wanted.values()}
         stated, attributes, undated = _stated(file, wanted, used, path)
+        if not names:
+            speeds = (attributes.number(dataset, _SPEED_NAMES) for dataset in used)
+            return replace(stated, speed_rpm=next((rpm for rpm in speeds if rpm), None)).with_columns({}, ())
         check_budget(sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values()), settings)
         values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
         others = set(stated.rates_hz.values())
         doubts = [attributes.doubts(at.dataset, stated.rates_hz.get(name), others) for name, at in wanted.items()]
         flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
         return stated.with_columns(names, values, flags=flags + undated)
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names, lengths, units and rates of the numeric datasets of the HDF5 file at ``path``; reads no samples.
-
-    ``settings`` give the object limit. Raises what :func:`read` raises.
-    """
-    with _opened(path) as file:
-        columns = _columns_of(file, settings)
-        opened = {column.dataset: column.opened for column in columns.values()}
-        stated, attributes, _ = _stated(file, columns, opened, path)
-        speeds = (attributes.number(column.dataset, _SPEED_NAMES) for column in columns.values())
-        return replace(stated, speed_rpm=next((rpm for rpm in speeds if rpm), None))
 
 
 def _stated(

@@ -17,13 +17,13 @@ from crankorder.ingest.channel import STATES_NO_UNIT
 from crankorder.ingest.encoder_table import POSITION_KINDS, SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, listed
-from crankorder.ingest.record_faults import direction_flags
 from crankorder.ingest.sampling import ENCODER, TimeBase, TimeColumn, rows_before_zeros, seconds_of, zeros_flag
 from crankorder.ingest.units import conversion_factor, known_unit, unit_in_label, unit_of
 from crankorder.quantities import Attribute, Floats, QualityFlag, Severity
-from crankorder.settings import ShaftSettings
+from crankorder.settings import MethodNumbers, ShaftSettings
 from crankorder.shaft.pulses import NoPulsesError, Remark, find_pulses, position_pulses
 
+NUMBERS = MethodNumbers("1-ingest-faults.toml", "direction")
 # Pulse times that are told more finely than this are as good as those of a counter.
 _FINE_STEP_S = 1e-6
 
@@ -259,6 +259,38 @@ class ShaftSignals:
             problem, place = "the speed signal has missing samples", f"sample {int(np.argmin(np.isfinite(speed)))}"
             raise InputError(problem, file=self.path, place=place, remedy="Leave the recording out")
         return speed
+
+
+def direction_flags(levels: FloatArray, pulse_samples: Floats, path: Path, *, falling: bool) -> list[QualityFlag]:
+    """What the second track says of the direction of the recording at ``path``; nothing where the shaft turns forwards.
+
+    Forwards the first track leads by a quarter of a pulse: the second, ``levels`` (sample,), is still low where the
+    first rises and still high where it falls (``falling``: these are the pulses). ``pulse_samples`` (pulse,) is where
+    the pulses lie, in samples.
+    """
+    low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
+    at = np.floor(pulse_samples).astype(np.int64)
+    at = at[(at >= 0) & (at < levels.size)]
+    if at.size < NUMBERS.fewest_pulses or not high > low:
+        detail = "the second track says nothing of the direction: " + ("it is constant" if at.size else "no pulses")
+        return [flag(path, "direction_unknown", "info", detail)]
+    is_high = levels[at] > 0.5 * (low + high)
+    backwards = ~is_high if falling else is_high
+    share = float(np.mean(backwards))
+    if share <= 1.0 - NUMBERS.sure_share:
+        return []
+    if share >= NUMBERS.sure_share:
+        detail = (
+            f"the second track leads at {share:.1%} of the pulses: the shaft turns backwards, or the two tracks are "
+            "swapped; the angle is counted up all the same, so phases are those of the other direction"
+        )
+        return [flag(path, "turns_backwards", "suspect", detail)]
+    first = int(np.flatnonzero(np.diff(backwards))[0]) + 1
+    detail = (
+        f"the second track leads at {share:.1%} of the pulses, first another way at pulse {first}: the shaft changes "
+        "its direction, or too few samples lie between the pulses to tell"
+    )
+    return [flag(path, "direction_changes", "suspect", detail)]
 
 
 def _add_times(recording: Gathered, role: str, time_s: Floats) -> None:

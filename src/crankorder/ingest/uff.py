@@ -76,6 +76,12 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         histories = _histories(data, settings)
         names = names_of(sources, tuple(histories), path)
         check_budget(sum(histories[name].n_points * 8 for name in names.values()), settings)
+        if not names:
+            first = {
+                name: history.even or _sampled(data, history, path, settings, most_bytes=_FEW_BYTES)[1]
+                for name, history in histories.items()
+            }
+            return _contents(histories, first).with_columns({}, ())
         sampled = {name: _sampled(data, histories[name], path, settings) for name in names.values()}
     columns = {name: column for name, (column, _) in sampled.items()}
     times = {name: time for name, (_, time) in sampled.items()}
@@ -89,21 +95,6 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         [columns[name] for name in names.values()],
         flags=[remark for number, remark in enumerate(flags) if remark not in flags[:number]],
     )
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names, lengths, units and rates of the time histories of the universal file at ``path``.
-
-    Reads headers, and the first times where each sample has its own. ``settings`` give the object limit. Raises what
-    :func:`read` raises.
-    """
-    with _mapped(path) as data:
-        histories = _histories(data, settings)
-        times = {
-            name: history.even or _sampled(data, history, path, settings, most_bytes=_FEW_BYTES)[1]
-            for name, history in histories.items()
-        }
-    return _contents(histories, times)
 
 
 def _contents(histories: Mapping[str, _History], times: Mapping[str, TimeColumn]) -> Contents:

@@ -100,12 +100,14 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     room = rows_for([kind] * len(numbers), in_memory_bytes=settings.in_memory_bytes)
     with path.open("rb") as stream:
         stream.seek(header.data_start + wanted.start * frame_bytes)
-        for part in blocks(kind[0]):
+        for part in blocks(kind[0] if numbers else 0):
             frames = _decoded(stream.read((part.stop - part.start) * frame_bytes), header)
             for row, number in zip(room, numbers, strict=True):
                 row[part] = frames[:, number]
                 _scaled(row[part], header, number)
-    return _contents(header).with_columns(names, room, flags=list(header.flags))
+    named = zip(header.names, header.units, strict=True)
+    stated = {name: Described(header.n_present, unit, float(header.rate_hz)) for name, unit in named}
+    return Contents.of("WAV", stated).with_columns(names, room, flags=list(header.flags))
 
 
 def _scaled(samples: FloatArray, header: _Header, number: int) -> None:
@@ -117,21 +119,6 @@ def _scaled(samples: FloatArray, header: _Header, number: int) -> None:
         samples -= 128.0
     if scale != 1.0:
         samples *= scale
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names, lengths, units and rate of the channels of the WAV file at ``path``; reads no samples.
-
-    ``settings`` are those of :func:`read`, whose errors it raises.
-    """
-    header = _header_of(path, settings)
-    check_budget(header.n_present * header.n_channels * 8, settings)
-    return _contents(header)
-
-
-def _contents(header: _Header) -> Contents:
-    named = zip(header.names, header.units, strict=True)
-    return Contents.of("WAV", {name: Described(header.n_present, unit, float(header.rate_hz)) for name, unit in named})
 
 
 def _header_of(path: Path, settings: IngestSettings) -> _Header:
