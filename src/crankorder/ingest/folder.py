@@ -420,14 +420,8 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
     faults += length_faults(bases, path)
     if manifest.sampling.domain == "time" and manifest.sampling.time_source is None and manifest.has_samples:
         with _collected(faults):
-            agreed_rate(
-                file_hz=file_hz,
-                times=None,
-                manifest_hz=manifest.sampling.rate_hz,
-                path=path,
-                settings=settings,
-                file_uncertainty=contents.rate_uncertainty,
-            )
+            rates = {"manifest": (manifest.sampling.rate_hz, 0.0), "file": (file_hz, contents.rate_uncertainty)}
+            agreed_rate(rates, path, settings=settings)
     return faults
 
 

@@ -267,38 +267,21 @@ def _gaps(
     return flag(path, "time_gap", "suspect", f"{detail}; what touches a gap is left out")
 
 
-def agreed_rate(
-    *,
-    file_hz: float | None,
-    times: TimeColumn | None,
-    manifest_hz: float | None,
-    path: Path,
-    settings: IngestSettings,
-    file_uncertainty: float = 0.0,
-) -> float:
-    """Samples per second on which the file's statement ``file_hz``, its column ``times`` and ``manifest_hz`` agree.
+def agreed_rate(rates: Mapping[str, tuple[float | None, float]], path: Path, *, settings: IngestSettings) -> float:
+    """Samples per second on which all ``rates`` (by who states it: Hz or None, relative uncertainty) agree.
 
-    ``path`` names the recording in errors; ``settings`` give the tolerance, to which ``file_uncertainty`` (relative) of
-    a rounded statement adds.
+    ``path`` names the recording in errors; ``settings`` give the tolerance, to which the uncertainties add.
     Raises InputError where two of them disagree, so that never one silently wins, and where there is none.
     """
-    rates = [("manifest", manifest_hz, 0.0), ("file", file_hz, file_uncertainty)]
-    rates += [] if times is None else [("time column", times.rate_hz, times.rate_uncertainty)]
-    stated = [(name, rate_hz, uncertainty) for name, rate_hz, uncertainty in rates if rate_hz is not None]
+    stated = [(name, rate_hz, doubt) for name, (rate_hz, doubt) in rates.items() if rate_hz is not None]
     if not stated:
-        raise InputError(
-            "the sampling rate is not known",
-            file=path,
-            remedy="State [sampling] rate_hz, or time_source where a column holds the time, in the manifest",
-        )
-    first = stated[0]
-    for name, rate_hz, uncertainty in stated[1:]:
-        if abs(rate_hz - first[1]) > (settings.rate_tolerance + uncertainty + first[2]) * first[1]:
-            raise InputError(
-                f"the sampling rate is {rate_hz:.12g} Hz in the {name}, {first[1]:.12g} Hz in the {first[0]}",
-                file=path,
-                remedy="Find out which is right, and mend the other",
-            )
+        remedy = "State [sampling] rate_hz, or time_source where a column holds the time, in the manifest"
+        raise InputError("the sampling rate is not known", file=path, remedy=remedy)
+    first, first_hz, first_doubt = stated[0]
+    for name, rate_hz, doubt in stated[1:]:
+        if abs(rate_hz - first_hz) > (settings.rate_tolerance + doubt + first_doubt) * first_hz:
+            problem = f"the sampling rate is {rate_hz:.12g} Hz in the {name}, {first_hz:.12g} Hz in the {first}"
+            raise InputError(problem, file=path, remedy="Find out which is right, and mend the other")
     return min(stated, key=lambda rate: rate[2])[1]  # of those that are sure alike the first
 
 
