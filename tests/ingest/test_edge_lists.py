@@ -1,6 +1,7 @@
 """Times of edges are a test of the shaft by themselves, and give the angle of signals that another file holds."""
 
 import json
+from functools import partial
 
 import h5py
 import numpy as np
@@ -12,7 +13,7 @@ from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.manifest import load_manifest, parts_of
 from crankorder.quantities import flags_of
 from made.command import analysed, crankorder, done, findings_in
-from made.recordings import write_hdf5
+from made.recordings import manifest, write_hdf5, write_table
 
 TEETH, MISSING, MEAN_RPM, SWING_RPM, LENGTH_S = 36, 1, 1400.0, 12.0, 6.0
 RATE_HZ = 5000
@@ -160,13 +161,9 @@ def test_d13_a_drift_between_the_clocks_of_two_devices_is_told_by_the_orders(tmp
 
 
 @pytest.mark.slow
-def test_a_list_of_edges_is_no_recording_of_its_own(tmp_path):
-    assert "edges.csv" not in done("run", joined(tmp_path / "joined", files="*"), "--out", tmp_path / "out").output
-
-
-@pytest.mark.slow
-def test_a_missing_list_takes_its_own_recording_alone(tmp_path):
-    folder = joined(tmp_path / "joined", names=("a", "b"))
+def test_a_list_of_edges_is_no_recording_and_a_missing_one_takes_its_own_recording_alone(tmp_path):
+    folder = joined(tmp_path / "joined", names=("a", "b"), files="*")
+    assert "edges.csv" not in done("run", folder, "--out", tmp_path / "whole", "--no-pictures").output
     (folder / "b.edges.csv").unlink()
     checked = crankorder("check", folder)
     assert checked.exit_code != 0 and "b.edges.csv: no such file" in checked.output
@@ -240,34 +237,13 @@ def columns_of(rpm, seed):
     return samples, events
 
 
-def write(path, columns):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".h5":
-        write_hdf5(path, columns)
-        return
-    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
-    text = [",".join(f"{value:.9g}" if value < 1e3 else str(value) for value in row) for row in rows]
-    path.write_text("\n".join([",".join(columns), *text]) + "\n", encoding="utf-8")
-
-
 def folder_of(folder, samples, events):
     for seed, (run, rpm) in enumerate(RPM.items(), 1):
         for pattern, columns in zip((samples, events), columns_of(rpm, seed), strict=True):
-            write(folder / pattern.format(run=run), columns)
+            path = folder / pattern.format(run=run)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            (write_hdf5 if path.suffix == ".h5" else partial(write_table, fmt="%.16g"))(path, columns)
     return folder
-
-
-def manifest(folder, files, pulses):
-    text = f"""schema_version = 1
-test.cycle = "rotor"
-recordings.files = ["{files}"]
-sampling.time_source = "timestamp_us"
-encoder = {{file = "{pulses}", source = "timestamp_us", kind = "pulse_times", pulses_per_rev = 1}}
-[[channels]]
-name = "y_g"
-unit = "g"
-"""
-    (folder / "run.toml").write_text(text, encoding="utf-8")
 
 
 def is_right(findings):
@@ -305,7 +281,7 @@ def test_a_draft_takes_no_slow_recording_for_pulses(tmp_path, other):
         us = samples["timestamp_us"][::100] + (0 if other != "later" else 10**9)
         slow = 85.0 + 0.1 * np.random.default_rng(seed).standard_normal(us.size)
         columns = {"temperature": {"oil": slow}, "speed": {"rpm": rpm + slow}, "later": {"turns": np.arange(us.size)}}
-        write(folder / f"slow_{run}.csv", {"timestamp_us": us} | columns[other])
+        write_table(folder / f"slow_{run}.csv", {"timestamp_us": us} | columns[other], fmt="%.16g")
     assert "file = " not in draft_manifest(folder)
 
 
@@ -332,7 +308,10 @@ def test_parts_that_do_not_pair_are_refused(tmp_path):
         ("ACCEL_{run}.csv", "HALL_{run}.csv", "no recording found; looked for ACCEL_{run}.csv"),
     ]
     for files, pulses, words in rows:
-        manifest(folder, files, pulses)
+        encoder = {"file": pulses, "source": "timestamp_us", "kind": "pulse_times", "pulses_per_rev": 1}
+        channels = {"y_g": {"unit": "g"}}
+        text = manifest(files, channels=channels, sampling={"time_source": "timestamp_us"}, encoder=encoder)
+        (folder / "run.toml").write_text(text, encoding="utf-8")
         checked = crankorder("check", folder)
         assert bool(checked.exit_code) == bool(words), checked.output
         assert words in checked.output

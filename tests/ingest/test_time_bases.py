@@ -13,7 +13,7 @@ from crankorder.quantities import flags_of
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
 from made.command import analysed, crankorder, done
-from made.recordings import write_hdf5
+from made.recordings import write_hdf5, write_table
 from made.time_bases import WRITERS, Sampled, as_hdf5, as_lvm_of_one_segment, as_tdms
 
 FORMATS = pytest.mark.parametrize("form", WRITERS)
@@ -228,8 +228,7 @@ def written(folder, suffix, **columns):
     elif suffix == "h5":
         write_hdf5(path, columns)
     else:
-        rows = np.stack(list(columns.values()), axis=1)
-        np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+        write_table(path, columns, fmt="%.6f")
     return folder
 
 

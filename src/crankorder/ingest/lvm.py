@@ -282,7 +282,7 @@ def _timing(
     return (
         Contents.of("LVM", described, rate_uncertainty=attrs["rate_uncertainty"]),
         attrs,
-        [remark for number, remark in enumerate(flags) if remark not in flags[:number]],
+        flags,
     )
 
 

@@ -81,8 +81,9 @@ class Contents:
     def with_columns(self, names: Mapping[Source, str], columns: Iterable[FloatArray], **further: Any) -> RawFile:
         """The ``columns`` that were asked for, ``names`` by source, with what this says of each.
 
-        ``further``: attributes and flags of the RawFile.
+        ``further``: attributes and flags of the RawFile, of which each is kept once.
         """
+        flags = further.pop("flags", [])
         return RawFile(
             columns=dict(zip(names, columns, strict=True)),
             contents=self,
@@ -90,6 +91,7 @@ class Contents:
             rates_hz=_by_source(names, self.rates_hz),
             starts_s=_by_source(names, self.starts_s),
             rate_uncertainty=self.rate_uncertainty,
+            flags=[remark for number, remark in enumerate(flags) if remark not in flags[:number]],
             **further,
         )
 

@@ -7,9 +7,10 @@ channels tells: dead, a copy, mains alone, a step of the level.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -89,9 +90,8 @@ MAY_HAVE_LEVELS = frozenset(
 _IMPACTS = frozenset({"force"})
 
 
-def find_copies(signals: FloatArray, names: Sequence[str]) -> dict[int, SignalFault]:
-    """Faults by number of those of ``signals`` (channel, sample) that equal an earlier one; ``names`` are theirs."""
-    found: dict[int, SignalFault] = {}
+def find_copies(signals: FloatArray, names: Sequence[str]) -> Iterator[tuple[int, SignalFault]]:
+    """Number and fault of each of ``signals`` (channel, sample), called ``names``, that equals an earlier one."""
     step = max(signals.shape[1] // 64, 1)
     few = signals[:, ::step]
     for later in range(1, len(signals)):
@@ -100,22 +100,20 @@ def find_copies(signals: FloatArray, names: Sequence[str]) -> dict[int, SignalFa
                 continue
             if all(np.array_equal(signals[earlier, part], signals[later, part]) for part in blocks(signals.shape[1])):
                 detail = f"the same samples as channel {names[earlier]}: one of the two was not measured"
-                found[later] = SignalFault("copied_channel", "suspect", detail)
+                yield later, SignalFault("copied_channel", "suspect", detail)
                 break
-    return found
 
 
 def find_dead(
     signals: FloatArray, surveys: Sequence[Survey], groups: Sequence[str], *, settings: IngestSettings
-) -> dict[int, SignalFault]:
-    """Faults by number of the ``signals`` (channel, sample) that hold noise alone while others see the machine.
+) -> Iterator[tuple[int, SignalFault]]:
+    """Number and fault of each of the ``signals`` (channel, sample) that hold noise alone while others see the machine.
 
     Only channels of one of ``groups`` (units) are compared, by their ``surveys`` and ``settings``. Dead is one far
     below the middle of the others in which none of the strongest lines of the loudest stands out, whether it toggles
     between a few steps of the converter or not.
     """
     size = np.array([root_mean_square(each) for each in surveys])
-    found: dict[int, SignalFault] = {}
     for number, own in enumerate(size):
         others = [k for k, group in enumerate(groups) if group == groups[number] and k != number and size[k] > 0.0]
         if not others or not own > 0.0:
@@ -129,8 +127,7 @@ def find_dead(
             rest = f"within {steps} steps of its converter" if steps <= settings.dead_steps else "noise alone"
             below = f"{typical / own:.3g} times below the others, none of whose lines it shows"
             detail = f"{rest}, {below}: dead or not connected"
-            found[number] = SignalFault("dead_sensor", "bad", detail, is_lost=True)
-    return found
+            yield number, SignalFault("dead_sensor", "bad", detail, is_lost=True)
 
 
 def _steps(signal: FloatArray) -> int:
@@ -165,19 +162,19 @@ def _over_floor(power: Floats, place: int) -> float:
 
 def find_mains_only(
     surveys: Sequence[Survey], rate_hz: float, shaft_hz: float, *, settings: IngestSettings
-) -> dict[int, SignalFault]:
-    """Faults by number of the channels that hold mains, its multiples and noise, while others hold other lines.
+) -> Iterator[tuple[int, SignalFault]]:
+    """Number and fault of each of the channels that hold mains, its multiples and noise, while others hold other lines.
 
     ``surveys`` of channels sampled at ``rate_hz``, judged by ``settings``. ``shaft_hz``: of the shaft, 0 for none;
     NaN where unknown, and then nothing is told, nor where an order of the shaft lies on mains.
     """
-    if not math.isfinite(shaft_hz) or len(surveys) < 2:
-        return {}
+    if not math.isfinite(shaft_hz) or not math.isfinite(rate_hz):
+        return
     series = np.stack([each.means[: 8 * _SERIES] for each in surveys])
     series = np.nan_to_num(series - np.nanmean(series, axis=1, keepdims=True))
     series_hz = rate_hz / surveys[0].size
     if len(series[0]) < _SERIES // 8 or len(series[0]) / series_hz < 1.0:
-        return {}
+        return
     sizes = np.array([root_mean_square(each) for each in surveys])
     for mains_hz in (50.0, 60.0):
         if shaft_hz > 0.0 and abs((ratio := 2.0 * mains_hz / shaft_hz) - round(ratio)) < _OFF_MAINS * ratio:
@@ -190,8 +187,9 @@ def find_mains_only(
         elsewhere = max(lines[k] / sizes[k] ** 2 for k in range(len(surveys)) if k not in candidates)
         told = [k for k in candidates if lines[k] < 0.01 * sizes[k] ** 2 and elsewhere > 0.2]
         detail = f"{mains_hz:g} Hz, its multiples and noise alone, while others show the machine: pick-up, no sensor"
-        return {int(k): SignalFault("mains_only", "suspect", detail) for k in told}
-    return {}
+        for k in told:
+            yield int(k), SignalFault("mains_only", "suspect", detail)
+        return
 
 
 def _mains_power(series: Floats, series_hz: float, mains_hz: float) -> Floats:
@@ -217,18 +215,17 @@ def _lines_beside(row: Floats, series_hz: float, mains_hz: float) -> float:
     return float(power[off & (power > 5.0 * _STANDS_OUT * floor)].sum())
 
 
-def find_level_steps(surveys: Sequence[Survey], *, settings: IngestSettings) -> dict[int, SignalFault]:
-    """Faults by number of the channels of ``surveys`` whose level steps (``settings``) beside all others."""
+def find_level_steps(surveys: Sequence[Survey], *, settings: IngestSettings) -> Iterator[tuple[int, SignalFault]]:
+    """Number and fault of each of the channels of ``surveys`` whose level steps (``settings``) beside all others."""
     if len(surveys) < 2:
-        return {}
+        return
     group = len(surveys[0].means) // _PIECES
     if group < 4:
-        return {}
-    squares = np.stack([grouped(one.variances + (one.means - np.nanmean(one.means)) ** 2, group) for one in surveys])
+        return
+    squares = np.stack([grouped(own.variances + (own.means - np.nanmean(own.means)) ** 2, group) for own in surveys])
     if not (np.isfinite(squares).all() and (squares > 0.0).all()):
-        return {}
+        return
     levels = 0.5 * np.log(squares)
-    found: dict[int, SignalFault] = {}
     for number, level in enumerate(levels):
         rest = np.median(np.delete(levels, number, axis=0), axis=0)
         at, step = _largest_step(level)
@@ -243,8 +240,7 @@ def find_level_steps(surveys: Sequence[Survey], *, settings: IngestSettings) -> 
         samples = at * group * surveys[number].size
         factor, span = f"a factor of {np.exp(step):.3g}", spans_of((samples, surveys[number].n_samples))
         detail = f"the level changes by {factor} at once, that of the others does not: gain or seat"
-        found[number] = SignalFault("level_step", "suspect", detail, span)
-    return found
+        yield number, SignalFault("level_step", "suspect", detail, span)
 
 
 def _largest_step(level: np.ndarray) -> tuple[int, float]:
@@ -539,16 +535,16 @@ def _beside_each_other(
     alive = [k for k, own in enumerate(faults) if not any(fault.loses_all for fault in own)]
     vibrating = [k for k in alive if sampled.quantities[k] in VIBRATION]
     rows, units = [surveys[k] for k in vibrating], [sampled.units[k] for k in vibrating]
-    told = [(list(range(len(signals))), find_copies(signals, sampled.names))]
+    for number, fault in find_copies(signals, sampled.names):
+        faults[number].append(fault)
     if len(vibrating) > 1:
         chosen = signals if len(vibrating) == len(signals) else signals[vibrating]
-        told.append((vibrating, find_dead(chosen, rows, units, settings=settings)))
-        told.append((vibrating, find_level_steps(rows, settings=settings)))
-        if math.isfinite(sampled.rate_hz):
-            told.append((vibrating, find_mains_only(rows, sampled.rate_hz, sampled.shaft_hz, settings=settings)))
-    for numbers, found in told:
-        for number, fault in found.items():
-            faults[numbers[number]].append(fault)
+        for number, fault in chain(
+            find_dead(chosen, rows, units, settings=settings),
+            find_level_steps(rows, settings=settings),
+            find_mains_only(rows, sampled.rate_hz, sampled.shaft_hz, settings=settings),
+        ):
+            faults[vibrating[number]].append(fault)
 
 
 def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: IngestSettings) -> Ints:

@@ -93,7 +93,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     return _contents(histories, times).with_columns(
         names,
         [columns[name] for name in names.values()],
-        flags=[remark for number, remark in enumerate(flags) if remark not in flags[:number]],
+        flags=flags,
     )
 
 
