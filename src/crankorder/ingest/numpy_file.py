@@ -34,7 +34,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     impossible sizes.
     """
     whole = _table(path, settings)
-    names, table = _names(whole), whole[part_of(len(whole), rows)]
+    names = whole.dtype.names or tuple(str(number) for number in range(whole.shape[1]))
+    table = whole[part_of(len(whole), rows)]
     chosen = names_of(sources, names, path)
     wanted = [names.index(name) for name in chosen.values()]
     target = float_type_for(table.dtype)
@@ -77,7 +78,3 @@ def _table(path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
         return table.reshape(-1)
     table = table.reshape(-1, 1) if table.ndim < 2 else table
     return table.T if table.shape[1] > table.shape[0] else table
-
-
-def _names(table: npt.NDArray[Any]) -> tuple[str, ...]:
-    return table.dtype.names or tuple(str(number) for number in range(table.shape[1]))

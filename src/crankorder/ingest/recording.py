@@ -116,7 +116,7 @@ def recording_of(
     base, base_flags = on_one_base(channels, bases, path, settings=settings)
     flags += base_flags
     ShaftSignals(listed or raw, manifest, path, shaft, bases, base, times, flags).add_to(recording)
-    has_stretches = times is not None and times.starts is not None
+    has_stretches = times is not None and times.offsets.any()
     if channels and manifest.encoder.kind in TRACE_KINDS and bases[ENCODER] == base and not has_stretches:
         laid_apart(recording, channels, path, flags)
     if manifest.of_shaft_alone:
@@ -139,7 +139,8 @@ def recording_of(
 
 def _on_grid(raw: RawFile, times: TimeColumn, manifest: Manifest) -> RawFile:
     """``raw`` with the columns that its ``times`` are of on their uniform grid, and starts on their clock."""
-    source = _time_source(manifest)
+    source = manifest.sampling.time_source
+    assert source is not None  # the column that the times are of
     n_rows, first_s = raw.columns[source].size, raw.starts_s.get(source)
     on_grid = {source: times.on_grid(row) for source, row in raw.columns.items() if row.size == n_rows}
     own = {source: start for source, start in raw.starts_s.items() if first_s is not None or source not in on_grid}
@@ -205,11 +206,6 @@ def _of_encoder(manifest: Manifest) -> list[Source]:
     if encoder.file is not None:
         sources.append(encoder.time_source)
     return list(dict.fromkeys(source for source in sources if source is not None))
-
-
-def _time_source(manifest: Manifest) -> Source:
-    assert manifest.sampling.time_source is not None  # asked for only where there is one
-    return manifest.sampling.time_source
 
 
 @dataclass(frozen=True, slots=True)

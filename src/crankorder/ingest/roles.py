@@ -39,8 +39,8 @@ _MOST_BYTES = 200_000_000
 SQUARE_SHARE, LEVEL_WIDTH = 0.7, 0.2
 # Of a step, as far as a grid of times or angles that was rounded in writing may wander.
 _UNEVEN = 0.5
-# Of the steps of sampled times, those that are even; of the rows of a list of edges, those at which a level changes.
-_EVEN_SHARE, _EDGE_SHARE = 0.9, 0.5
+# Of the rows of a list of edges, those at which a level changes.
+_EDGE_SHARE = 0.5
 # Of the time of the longest column that another of its own rate must span to belong to the recording …
 _SPAN = 0.75
 # … and of the rate of the fastest channel: beside a slower one more than a quarter of its band would be lost.
@@ -148,13 +148,6 @@ def is_square(values: Floats) -> bool:
     return bool(min(np.mean(near[above]), np.mean(near[~above])) >= SQUARE_SHARE)
 
 
-def is_even(times: Floats) -> bool:
-    """Whether ``times`` (sample,) follow each other in even steps, as far as rounding lets them, but for a few gaps."""
-    step = np.diff(times)
-    even = np.abs(step - np.median(step)) < _UNEVEN * np.median(step)
-    return times.size > 2 and float(np.mean(even)) > _EVEN_SHARE
-
-
 def _lists_edges(time: Column, others: Sequence[Column]) -> bool:
     """Whether the rows at ``time`` are edges, of one of the levels in ``others`` each, and not samples."""
     step = np.diff(time.values)
@@ -179,7 +172,9 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
 
     ``settings`` limit what is read.
     """
-    names, degrees = _sampled(contents), angle_columns(contents)
+    # a MATLAB file may hold much besides, as single numbers and spectra
+    matlab, degrees = contents.format == "MATLAB", angle_columns(contents)
+    names = [name for name in contents.names if (_spans(name, contents) if matlab else contents.samples.get(name) != 1)]
     values = _values_of(path, names, settings)
     found = [_judged(name, contents, values.get(name, np.empty(0)) * degrees.get(name, 1.0)) for name in names]
     if any(column.role == "time" and _is_straight(column.values) for column in found):
@@ -202,13 +197,6 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     speeds = [name for name in contents.names if contents.samples.get(name) == 1 and SPEED_NAME.search(name)]
     constants = [Column(name, _source(name, contents), "constant", name) for name in speeds[:1]]
     return Columns((*found, *constants), four_stroke)
-
-
-def _sampled(contents: Contents) -> list[str]:
-    """Names of the columns that hold samples: a MATLAB file may hold much besides, as single numbers and spectra."""
-    if contents.format != "MATLAB":
-        return [name for name in contents.names if contents.samples.get(name) != 1]
-    return [name for name in contents.names if _spans(name, contents)]
 
 
 def _spans(name: str, contents: Contents) -> bool:
@@ -306,7 +294,7 @@ def _role(label: str, quantity: str, values: Floats, *, is_timed: bool) -> Role:
         return "channel"
     if (_is_binary(values) and np.ptp(values) > 0.0) or (quantity in ("", "voltage") and is_square(values)):
         return "encoder" if _n_edges(values) >= _FEWEST_EDGES else "unused"
-    if label.isdigit() and grows and is_even(values):
+    if label.isdigit() and grows and _is_straight(values):
         counted = np.ptp(np.diff(values)) == 0.0 and values[1] - values[0] == 1.0
         return "unused" if counted or is_timed else "time"
     return "channel"

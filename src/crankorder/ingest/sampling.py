@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ class TimeColumn:
 
     ``n_rows``: rows that count, without zeros at the end; ``places``: of each of them on the uniform grid, where rows
     are missing in between. ``starts``: first place of each stretch between gaps, and ``offsets`` (stretch,) how many
-    samples it lies behind its places; None where all lie on the grid.
+    samples it lies behind its places; one stretch without offset where all lie on the grid.
     """
 
     rate_hz: float
@@ -47,8 +47,8 @@ class TimeColumn:
     flags: list[QualityFlag]
     n_rows: int
     places: Ints | None = None
-    starts: Ints | None = None
-    offsets: Floats | None = None
+    starts: Ints = field(default_factory=lambda: np.zeros(1, dtype=np.int64))
+    offsets: Floats = field(default_factory=lambda: np.zeros(1))
 
     def on_grid(self, column: FloatArray) -> FloatArray:
         """``column`` (row,) on the uniform grid, NaN where rows are missing; a stretch off it in its nearest places."""
@@ -61,16 +61,12 @@ class TimeColumn:
 
     def align(self, signal: FloatArray) -> None:
         """Shift each stretch of ``signal`` (place,), as on_grid lays it, onto the grid in place; NaN at its ends."""
-        if self.starts is None or self.offsets is None:
-            return
         for first, end, offset in zip(self.starts, [*self.starts[1:], signal.size], self.offsets, strict=True):
             if offset:
                 signal[first:end] = shifted(signal[first:end], float(offset))
 
     def places_in_time(self, place: Floats) -> Floats:
         """Places (n,) on the grid of the times at which a stretch was at ``place`` (n,) of a trace laid on_grid."""
-        if self.starts is None or self.offsets is None:
-            return place
         return np.asarray(place + self.offsets[np.searchsorted(self.starts, place, side="right") - 1])
 
 
@@ -103,8 +99,12 @@ def read_time_column(
         times = even
     _refuse_disorder(times, path)
     first, step_s, exact, jitter = _even_stretches(times, BREAKS[0])
-    places = _whole_places(times, first, step_s) if first.size > 1 else None
-    starts = offsets = None
+    places = None
+    if first.size > 1:  # were all gaps whole samples
+        moved = np.zeros(times.size, dtype=np.int64)
+        moved[first[1:]] = np.round((times[first[1:]] - times[first[1:] - 1]) / step_s).astype(np.int64) - 1
+        places = np.arange(times.size) + np.cumsum(np.maximum(moved, 0))
+    starts, offsets = np.zeros(1, dtype=np.int64), np.zeros(1)
     last = times.size - 1 if places is None else int(places[-1])
     grid_s = (float(times[-1]) - float(times[0])) / last
     off_grid = _jitter(times, grid_s, places)
@@ -122,7 +122,7 @@ def read_time_column(
         places = np.arange(times.size) + np.repeat(starts - first, np.diff(first, append=times.size))
         last = times.size // first.size
     if first.size > 1:
-        flags.append(_gaps(times, first, step_s, path, settings, moved=offsets is not None))
+        flags.append(_gaps(times, first, step_s, path, settings, moved=bool(offsets.any())))
     jitter = max(jitter, written)
     if jitter > settings.time_jitter_samples:
         detail = f"times lie off a uniform grid by up to {jitter:.2g} samples (rounded?); a uniform grid is used"
@@ -205,13 +205,6 @@ def _even_stretches(times: FloatArray, least: float) -> tuple[Ints, float, Float
     mean = np.add.reduceat(rest, first) / rows
     jitter = float(np.abs(rest - np.repeat(mean, rows)).max())
     return first, step_s, mean - mean[0] + first, jitter
-
-
-def _whole_places(times: FloatArray, first: Ints, step_s: float) -> Ints:
-    """Place of each of ``times`` on the grid of ``step_s``, were all gaps before the rows ``first`` whole samples."""
-    moved = np.zeros(times.size, dtype=np.int64)
-    moved[first[1:]] = np.round((times[first[1:]] - times[first[1:] - 1]) / step_s).astype(np.int64) - 1
-    return np.asarray(np.arange(times.size) + np.cumsum(np.maximum(moved, 0)))
 
 
 def _jitter(times: FloatArray, step_s: float, places: Ints | None) -> float:

@@ -25,7 +25,7 @@ from crankorder.settings import IngestSettings
 
 _HEAD_BYTES = 65_536
 PIECE_BYTES, PIECE_LINES = 1 << 22, 1 << 16
-"""Of a table that goes to disk so much is read at a time."""
+"""So much of a table is read at a time."""
 
 _NUMBER = re.compile(
     r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE
@@ -63,13 +63,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     if not names:
         return stated.with_columns({}, ())
     positions = [layout.names.index(name) for name in names.values()]
-    if path.stat().st_size > settings.in_memory_bytes:
-        block = _streamed(path, layout, positions)
-    else:
-        table, bare = next(_pieces(path, layout, None))
-        if bare:
-            _find_bad_cell(path, layout)
-        block = np.ascontiguousarray(table[:, positions].T)
+    block = _columns_at(positions, path, layout, on_disk=path.stat().st_size > settings.in_memory_bytes)
     flags = last_line_flags(path)
     if layout.decimal_comma:
         flags.insert(0, flag(path, "decimal_comma", "info", "decimals are written after a comma"))
@@ -166,40 +160,40 @@ def _rate_in(comments: str) -> float | None:
     return rate_hz if 0 < rate_hz < 1e12 else None
 
 
-def _streamed(path: Path, layout: _Layout, positions: list[int]) -> FloatArray:
-    """Columns (column, sample) at ``positions`` of a table that is parsed in pieces and laid on disk."""
-    n_lines = 1 - layout.n_head_lines
+def _columns_at(positions: list[int], path: Path, layout: _Layout, *, on_disk: bool) -> FloatArray:
+    """Columns (column, sample) at ``positions`` of the table, which is parsed in pieces."""
+    feeds, returns, last = 0, 0, b""
     with path.open("rb") as stream:
         while piece := stream.read(PIECE_BYTES):
-            n_lines += piece.count(b"\n")
-    block = empty((len(positions), n_lines), np.float64, on_disk=True)
-    n, any_bare = 0, False
-    for table, bare in _pieces(path, layout, PIECE_LINES):
+            feeds, returns, last = feeds + piece.count(b"\n"), returns + piece.count(b"\r"), piece[-1:]
+    n_lines = max(feeds, returns) + (last not in b"\r\n") - layout.n_head_lines
+    block = empty((len(positions), n_lines), np.float64, on_disk=on_disk)
+    n, may_be_short = 0, False
+    for table in _pieces(path, layout):
+        # pandas fills short lines with NaN without a word
+        may_be_short |= bool(np.isnan(table).any())
         block[:, n : n + len(table)] = table[:, positions].T
-        n, any_bare = n + len(table), any_bare or bare
-    if any_bare:
+        n += len(table)
+    if may_be_short:
         _find_bad_cell(path, layout)
     return block[:, :n]
 
 
-def _pieces(path: Path, layout: _Layout, n_lines: int | None) -> Iterator[tuple[FloatArray, bool]]:
-    """Tables (sample, column) of ``n_lines`` each, or one of all, and whether it may have lines that are too short."""
+def _pieces(path: Path, layout: _Layout) -> Iterator[FloatArray]:
+    """Tables (sample, column) of ``PIECE_LINES`` each."""
     import pandas as pd
 
     try:
-        made = parsed(
+        for frame in parsed(
             path, layout.separator, decimal_comma=layout.decimal_comma, encoding=layout.encoding,
-            skiprows=layout.n_head_lines, skip_blank_lines=True, chunksize=n_lines,
-        )  # fmt: skip
-        for frame in [made] if n_lines is None else made:
+            skiprows=layout.n_head_lines, skip_blank_lines=True, chunksize=PIECE_LINES,
+        ):  # fmt: skip
             if len(frame.columns) == len(layout.names) + 1 and frame.iloc[:, -1].isna().all():
                 frame = frame.iloc[:, :-1]  # every line ends with a separator
             table: FloatArray = np.asarray(frame.to_numpy(), dtype=np.float64)
-            # pandas fills short lines with NaN without a word
-            wrong = table.shape[1] != len(layout.names)
-            if wrong:
+            if table.shape[1] != len(layout.names):
                 _find_bad_cell(path, layout)
-            yield table, wrong or bool(np.isnan(table).any())
+            yield table
     except (ValueError, OverflowError, pd.errors.ParserError) as error:
         if isinstance(error, InputError):
             raise

@@ -72,7 +72,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     A history is called by the point and direction of its response, else by its first line of text. ``settings`` give
     the byte and object limits. Raises InputError for damage, a missing name, or a file without time histories.
     """
-    with _mapped(path) as data:
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         histories = _histories(data, settings)
         names = names_of(sources, tuple(histories), path)
         check_budget(sum(histories[name].n_points * 8 for name in names.values()), settings)
@@ -106,11 +106,6 @@ def _contents(histories: Mapping[str, _History], times: Mapping[str, TimeColumn]
     return Contents.of(
         "UFF", columns, rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0)
     )
-
-
-def _mapped(path: Path) -> mmap.mmap:
-    with path.open("rb") as stream:
-        return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
 
 def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]:
