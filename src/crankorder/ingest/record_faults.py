@@ -7,10 +7,9 @@ channels tells: dead, a copy, mains alone, a step of the level.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -90,44 +89,64 @@ MAY_HAVE_LEVELS = frozenset(
 _IMPACTS = frozenset({"force"})
 
 
-def find_copies(signals: FloatArray, names: Sequence[str]) -> Iterator[tuple[int, SignalFault]]:
-    """Number and fault of each of ``signals`` (channel, sample), called ``names``, that equals an earlier one."""
-    step = max(signals.shape[1] // 64, 1)
-    few = signals[:, ::step]
-    for later in range(1, len(signals)):
-        for earlier in range(later):
-            if not np.array_equal(few[earlier], few[later]) or not np.ptp(few[later]) > 0.0:
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """A channel of a recording: its ``samples`` (sample,) and what short blocks of them hold; ``faults`` take more.
+
+    ``size`` is the root mean square, NaN where too much is missing.
+    """
+
+    name: str
+    quantity: str
+    unit: str
+    samples: FloatArray
+    survey: Survey
+    size: float
+    faults: list[SignalFault]
+
+    @property
+    def is_left(self) -> bool:
+        """Whether anything of the channel is left."""
+        return not any(fault.loses_all for fault in self.faults)
+
+    @property
+    def is_vibration(self) -> bool:
+        """Whether the channel has neither a level nor plateaus of its own: what shows either is a fault."""
+        return self.quantity in VIBRATION
+
+
+def find_copies(channels: Sequence[_Channel]) -> None:
+    """Tell each of the ``channels`` that equals an earlier one."""
+    n_samples = channels[0].samples.size
+    step = max(n_samples // 64, 1)
+    for number, later in enumerate(channels):
+        for earlier in channels[:number]:
+            few = later.samples[::step]
+            if not np.array_equal(earlier.samples[::step], few) or not np.ptp(few) > 0.0:
                 continue
-            if all(np.array_equal(signals[earlier, part], signals[later, part]) for part in blocks(signals.shape[1])):
-                detail = f"the same samples as channel {names[earlier]}: one of the two was not measured"
-                yield later, SignalFault("copied_channel", "suspect", detail)
+            if all(np.array_equal(earlier.samples[part], later.samples[part]) for part in blocks(n_samples)):
+                detail = f"the same samples as channel {earlier.name}: one of the two was not measured"
+                later.faults.append(SignalFault("copied_channel", "suspect", detail))
                 break
 
 
-def find_dead(
-    signals: FloatArray, surveys: Sequence[Survey], groups: Sequence[str], *, settings: IngestSettings
-) -> Iterator[tuple[int, SignalFault]]:
-    """Number and fault of each of the ``signals`` (channel, sample) that hold noise alone while others see the machine.
+def find_dead(channels: Sequence[_Channel], *, settings: IngestSettings) -> None:
+    """Tell those of the ``channels`` that hold noise alone while others of their unit see the machine.
 
-    Only channels of one of ``groups`` (units) are compared, by their ``surveys`` and ``settings``. Dead is one far
-    below the middle of the others in which none of the strongest lines of the loudest stands out, whether it toggles
-    between a few steps of the converter or not.
+    Dead is one far below the middle of the others (``settings``) in which none of the strongest lines of the loudest
+    stands out, whether it toggles between a few steps of the converter or not.
     """
-    size = np.array([root_mean_square(each) for each in surveys])
-    for number, own in enumerate(size):
-        others = [k for k, group in enumerate(groups) if group == groups[number] and k != number and size[k] > 0.0]
-        if not others or not own > 0.0:
+    for own in channels:
+        others = [each for each in channels if each.unit == own.unit and each is not own and each.size > 0.0]
+        typical = float(np.median([each.size for each in others])) if others else 0.0
+        if not 0.0 < own.size <= settings.dead_ratio * typical:
             continue
-        typical = float(np.median(size[others]))
-        if own > settings.dead_ratio * typical:
-            continue
-        loudest = max(others, key=lambda k: size[k])
-        steps = _steps(signals[number])
-        if not _shows_lines(signals[number], signals[loudest]):
+        if not _shows_lines(own.samples, max(others, key=lambda each: each.size).samples):
+            steps = _steps(own.samples)
             rest = f"within {steps} steps of its converter" if steps <= settings.dead_steps else "noise alone"
-            below = f"{typical / own:.3g} times below the others, none of whose lines it shows"
+            below = f"{typical / own.size:.3g} times below the others, none of whose lines it shows"
             detail = f"{rest}, {below}: dead or not connected"
-            yield number, SignalFault("dead_sensor", "bad", detail, is_lost=True)
+            own.faults.append(SignalFault("dead_sensor", "bad", detail, is_lost=True))
 
 
 def _steps(signal: FloatArray) -> int:
@@ -160,35 +179,30 @@ def _over_floor(power: Floats, place: int) -> float:
     return float(power[max(place - 1, 0) : place + 2].max()) / max(float(np.median(near)), 1e-300)
 
 
-def find_mains_only(
-    surveys: Sequence[Survey], rate_hz: float, shaft_hz: float, *, settings: IngestSettings
-) -> Iterator[tuple[int, SignalFault]]:
-    """Number and fault of each of the channels that hold mains, its multiples and noise, while others hold other lines.
+def find_mains_only(channels: Sequence[_Channel], rate_hz: float, shaft_hz: float, *, settings: IngestSettings) -> None:
+    """Tell those of the ``channels`` that hold mains, its multiples and noise, while others hold other lines.
 
-    ``surveys`` of channels sampled at ``rate_hz``, judged by ``settings``. ``shaft_hz``: of the shaft, 0 for none;
-    NaN where unknown, and then nothing is told, nor where an order of the shaft lies on mains.
+    They are sampled at ``rate_hz`` and judged by ``settings``. ``shaft_hz``: of the shaft, 0 for none; NaN where
+    unknown, and then nothing is told, nor where an order of the shaft lies on mains.
     """
     if not math.isfinite(shaft_hz) or not math.isfinite(rate_hz):
         return
-    series = np.stack([each.means[: 8 * _SERIES] for each in surveys])
+    series = np.stack([each.survey.means[: 8 * _SERIES] for each in channels])
     series = np.nan_to_num(series - np.nanmean(series, axis=1, keepdims=True))
-    series_hz = rate_hz / surveys[0].size
+    series_hz = rate_hz / channels[0].survey.size
     if len(series[0]) < _SERIES // 8 or len(series[0]) / series_hz < 1.0:
         return
-    sizes = np.array([root_mean_square(each) for each in surveys])
+    squares = np.square([each.size for each in channels])
     for mains_hz in (50.0, 60.0):
         if shaft_hz > 0.0 and abs((ratio := 2.0 * mains_hz / shaft_hz) - round(ratio)) < _OFF_MAINS * ratio:
             continue
-        shares = _mains_power(series[:, :_SERIES], series_hz, mains_hz) / np.square(sizes)
-        candidates = np.flatnonzero(shares > settings.mains_share)
-        if not candidates.size or candidates.size == len(surveys):
+        of_mains = _mains_power(series[:, :_SERIES], series_hz, mains_hz) / squares > settings.mains_share
+        if not of_mains.any() or of_mains.all():
             continue
-        lines = [_lines_beside(row, series_hz, mains_hz) for row in series]
-        elsewhere = max(lines[k] / sizes[k] ** 2 for k in range(len(surveys)) if k not in candidates)
-        told = [k for k in candidates if lines[k] < 0.01 * sizes[k] ** 2 and elsewhere > 0.2]
+        beside = np.array([_lines_beside(row, series_hz, mains_hz) for row in series]) / squares
         detail = f"{mains_hz:g} Hz, its multiples and noise alone, while others show the machine: pick-up, no sensor"
-        for k in told:
-            yield int(k), SignalFault("mains_only", "suspect", detail)
+        for number in np.flatnonzero(of_mains & (beside < 0.01) & (beside[~of_mains].max() > 0.2)):
+            channels[number].faults.append(SignalFault("mains_only", "suspect", detail))
         return
 
 
@@ -215,10 +229,9 @@ def _lines_beside(row: Floats, series_hz: float, mains_hz: float) -> float:
     return float(power[off & (power > 5.0 * _STANDS_OUT * floor)].sum())
 
 
-def find_level_steps(surveys: Sequence[Survey], *, settings: IngestSettings) -> Iterator[tuple[int, SignalFault]]:
-    """Number and fault of each of the channels of ``surveys`` whose level steps (``settings``) beside all others."""
-    if len(surveys) < 2:
-        return
+def find_level_steps(channels: Sequence[_Channel], *, settings: IngestSettings) -> None:
+    """Tell those of the ``channels`` whose level steps (``settings``) beside all others."""
+    surveys = [channel.survey for channel in channels]
     group = len(surveys[0].means) // _PIECES
     if group < 4:
         return
@@ -240,7 +253,7 @@ def find_level_steps(surveys: Sequence[Survey], *, settings: IngestSettings) -> 
         samples = at * group * surveys[number].size
         factor, span = f"a factor of {np.exp(step):.3g}", spans_of((samples, surveys[number].n_samples))
         detail = f"the level changes by {factor} at once, that of the others does not: gain or seat"
-        yield number, SignalFault("level_step", "suspect", detail, span)
+        channels[number].faults.append(SignalFault("level_step", "suspect", detail, span))
 
 
 def _largest_step(level: np.ndarray) -> tuple[int, float]:
@@ -254,18 +267,16 @@ def _largest_step(level: np.ndarray) -> tuple[int, float]:
     return int(splits[best]), float(after[best] - before[best])
 
 
-def find_smoothed_clipping(
-    signal: FloatArray, survey: Survey, *, settings: IngestSettings, without_doubt: bool
-) -> list[SignalFault]:
-    """Clipping of ``signal`` (sample,) at levels that no two samples need share; only a doubt where one side has it.
+def find_smoothed_clipping(channel: _Channel, *, settings: IngestSettings) -> None:
+    """Tell clipping of a ``channel`` at levels that no two samples need share; only a doubt where one side has it.
 
-    ``survey`` says where the signal is strongest, ``settings`` what a plateau is. The rest of the vibration must be
-    smaller on the plateaus than between them for it to be "bad", and the quantity one that has no plateaus of its own
-    (``without_doubt``).
+    ``settings`` say what a plateau is. The rest of the vibration must be smaller on the plateaus than between them for
+    it to be "bad", and the quantity one that has no plateaus of its own.
     """
-    samples = _strongest(signal, survey)
+    without_doubt = channel.is_vibration
+    samples = _strongest(channel.samples, channel.survey)
     if samples.size < _PIECE:
-        return []
+        return
     places = (samples.size * (1.0 - np.array(_ABOVE))).astype(np.int64)
     ordered = np.partition(samples, np.concatenate([places, samples.size - 1 - places, [samples.size // 2]]))
     middle = float(ordered[samples.size // 2])
@@ -273,7 +284,7 @@ def find_smoothed_clipping(
     sides = [_pile_up(sign * apart, sign * ordered[at], settings) for sign, at in ((1, places), (-1, -1 - places))]
     plateaus = [(sign, *side) for sign, side in zip((1.0, -1.0), sides, strict=True) if side is not None]
     if not plateaus or (len(plateaus) < 2 and not without_doubt):
-        return []
+        return
     levels = " and ".join(f"{middle + sign * level:.4g}" for sign, level, _, _ in plateaus)
     share = sum(share for _, _, share, _ in plateaus)
     quiet = all(roughness < settings.quiet_plateau for *_, roughness in plateaus)
@@ -282,7 +293,7 @@ def find_smoothed_clipping(
         f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later: cut off before "
         "the filter, so odd multiples of its lines may be made up"
     )
-    return [SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure)]
+    channel.faults.append(SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure))
 
 
 def _strongest(signal: FloatArray, survey: Survey) -> FloatArray:
@@ -352,21 +363,21 @@ def _turns_smoothly(above: FloatArray, edges: Ints, lag: int) -> bool:
     return bool(float(np.median(bends[1])) > 2.0**1.5 * float(np.median(bends[0])))
 
 
-def find_spikes(signal: FloatArray, survey: Survey, *, settings: IngestSettings, may_pulse: bool) -> list[SignalFault]:
-    """The spikes of ``signal`` (sample,), which are bridged in place.
+def find_spikes(channel: _Channel, *, settings: IngestSettings) -> None:
+    """Tell the spikes of a ``channel``, and bridge them in place.
 
-    ``survey`` and ``settings`` say where to look and what stands out. A polynomial through 20 neighbours predicts
-    the middle; the spike stands ``spike_ratio`` times further off it than any neighbour does, and above the root mean
-    square of the signal. A strike or a knock rings through the neighbours.
-    With ``may_pulse`` spikes that all look alike are taken for the signal itself.
+    ``settings`` say what stands out. A polynomial through 20 neighbours predicts the middle; the spike stands
+    ``spike_ratio`` times further off it than any neighbour does, and above the root mean square of the signal. A strike
+    or a knock rings through the neighbours. In what is no vibration spikes that all look alike are the signal itself.
     """
+    signal, survey = channel.samples, channel.survey
     places = _candidates(signal, survey)
     if not places.size:
-        return []
+        return
     level = math.sqrt(float(np.nanmedian(survey.variances)) + float(np.nanvar(survey.means)))
     places, deviations, predicted = _standing_out(signal, places, level, settings)
-    if not places.size or (may_pulse and _look_like_pulses(places, deviations)):
-        return []
+    if not places.size or (not channel.is_vibration and _look_like_pulses(places, deviations)):
+        return
     offsets = np.arange(-_AHEAD, _AHEAD + 1)
     hit = np.abs(deviations) > 0.25 * np.abs(deviations).max(axis=1, keepdims=True)
     samples, first = np.unique((places[:, None] + offsets)[hit], return_index=True)
@@ -377,7 +388,7 @@ def find_spikes(signal: FloatArray, survey: Survey, *, settings: IngestSettings,
         f"{len(spikes)} spike{'s' * (len(spikes) > 1)} of one to three samples, up to {height:.4g} "
         f"({height / level:.3g} times the root mean square), after which nothing rings"
     )
-    return [SignalFault("spikes", "suspect", detail, spikes)]
+    channel.faults.append(SignalFault("spikes", "suspect", detail, spikes))
 
 
 def _candidates(signal: FloatArray, survey: Survey) -> Ints:
@@ -484,13 +495,8 @@ def judged(
                 for fault in known[number]
                 if fault.flag != "clipped" or int(lengths_of(fault.at).sum()) <= 0.5 * n_samples
             ]
-    size = block_size(sampled.rate_hz)
     if n_samples >= settings.fewest_samples:
-        surveys = [survey(row, size=size) for row in signals]
-        for number, row in enumerate(signals):
-            if not any(fault.loses_all for fault in faults[number]):
-                faults[number] += _of_one(row, surveys[number], sampled.quantities[number], faults[number], settings)
-        _beside_each_other(signals, surveys, faults, sampled, settings)
+        _judge(signals, faults, sampled, settings)
     lost = [_lost(own, n_samples, sampled, settings) for own in faults]
     is_out = [_is_out(runs, n_samples, settings) for runs in lost]
     flags: list[QualityFlag] = []
@@ -508,43 +514,28 @@ def judged(
     return flags
 
 
-def _of_one(
-    row: FloatArray, seen: Survey, quantity: str, known: list[SignalFault], settings: IngestSettings
-) -> list[SignalFault]:
-    """Faults that a channel shows by itself; its spikes are bridged."""
-    found: list[SignalFault] = []
-    is_vibration = quantity in VIBRATION
-    if quantity not in _IMPACTS and not any(fault.flag == "clipped" for fault in known):
-        found += find_spikes(row, seen, settings=settings, may_pulse=not is_vibration)
-    if is_vibration:
-        found += find_slow_faults(seen, settings=settings)
-    told_already = any(fault.flag in ("clipped", "iepe_overload") for fault in (*known, *found))
-    if not told_already and (is_vibration or quantity == "pressure"):
-        found += find_smoothed_clipping(row, seen, settings=settings, without_doubt=is_vibration)
-    return found
-
-
-def _beside_each_other(
-    signals: FloatArray,
-    surveys: Sequence[Survey],
-    faults: list[list[SignalFault]],
-    sampled: Sampled,
-    settings: IngestSettings,
+def _judge(
+    signals: FloatArray, faults: Sequence[list[SignalFault]], sampled: Sampled, settings: IngestSettings
 ) -> None:
-    """Add what only a look at all channels together tells to their ``faults``."""
-    alive = [k for k, own in enumerate(faults) if not any(fault.loses_all for fault in own)]
-    vibrating = [k for k in alive if sampled.quantities[k] in VIBRATION]
-    rows, units = [surveys[k] for k in vibrating], [sampled.units[k] for k in vibrating]
-    for number, fault in find_copies(signals, sampled.names):
-        faults[number].append(fault)
+    """Add to the ``faults`` of each channel what it shows by itself and beside the others; spikes are bridged."""
+    surveys = [survey(row, size=block_size(sampled.rate_hz)) for row in signals]
+    sizes = map(root_mean_square, surveys)
+    told = zip(sampled.names, sampled.quantities, sampled.units, signals, surveys, sizes, faults, strict=True)
+    channels = [_Channel(*each) for each in told]
+    for channel in (channel for channel in channels if channel.is_left):
+        if channel.quantity not in _IMPACTS and not any(fault.flag == "clipped" for fault in channel.faults):
+            find_spikes(channel, settings=settings)
+        if channel.is_vibration:
+            channel.faults.extend(find_slow_faults(channel.survey, settings=settings))
+        told_already = any(fault.flag in ("clipped", "iepe_overload") for fault in channel.faults)
+        if not told_already and (channel.is_vibration or channel.quantity == "pressure"):
+            find_smoothed_clipping(channel, settings=settings)
+    vibrating = [channel for channel in channels if channel.is_vibration and channel.is_left]
+    find_copies(channels)
     if len(vibrating) > 1:
-        chosen = signals if len(vibrating) == len(signals) else signals[vibrating]
-        for number, fault in chain(
-            find_dead(chosen, rows, units, settings=settings),
-            find_level_steps(rows, settings=settings),
-            find_mains_only(rows, sampled.rate_hz, sampled.shaft_hz, settings=settings),
-        ):
-            faults[vibrating[number]].append(fault)
+        find_dead(vibrating, settings=settings)
+        find_level_steps(vibrating, settings=settings)
+        find_mains_only(vibrating, sampled.rate_hz, sampled.shaft_hz, settings=settings)
 
 
 def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: IngestSettings) -> Ints:
