@@ -172,29 +172,6 @@ def test_a_list_of_edges_is_no_recording_and_a_missing_one_takes_its_own_recordi
     assert findings_in(tmp_path / "out")["orders"]
 
 
-@pytest.mark.slow
-def test_other_edges_are_another_result(tmp_path):
-    folder = joined(tmp_path / "joined")
-    done("run", folder, "--out", tmp_path / "out")
-    first = (tmp_path / "out" / "joined" / "results.nc").read_bytes()
-    write_edges(folder / "a.edges.csv", rows_of(*edges_of(17)))
-    assert "unchanged" not in done("run", folder, "--out", tmp_path / "out").output
-    assert (tmp_path / "out" / "joined" / "results.nc").read_bytes() != first
-
-
-def test_keys_that_do_not_fit_are_refused(tmp_path):
-    rows = [
-        ('file = "../a.csv"\nkind = "edge_list"\nsource = 0\n', "beside the recording"),
-        ('file = "a.csv"\nkind = "square"\nsource = 0\n', "a file of its own holds times"),
-        ('kind = "edge_list"\nsource = 0\noffset_s = 1.0\n', "offset_s is that of the file of pulses"),
-    ]
-    for keys, words in rows:
-        text = HEAD.format(name="x", files="a.h5") + '[[channels]]\nname = "A"\nunit = "V"\n[encoder]\n' + keys
-        (tmp_path / "run.toml").write_text(text, encoding="utf-8")
-        checked = crankorder("check", tmp_path)
-        assert checked.exit_code != 0 and words in checked.output
-
-
 @pytest.mark.parametrize(
     ("kind", "edge"), [("edge_list", "rising"), ("edge_list", "falling"), ("pulse_times", "rising")]
 )

@@ -7,7 +7,7 @@ from crankorder.batch.look import look_at
 from crankorder.errors import ManyErrors
 from crankorder.ingest.manifest import load_manifest
 from made.command import analysed
-from made.recordings import manifest, read_manifest, write_hdf5, write_table
+from made.recordings import manifest, write_hdf5, write_table
 
 RATE_HZ = 2560.0
 HEAD = """schema_version = 1
@@ -133,19 +133,6 @@ def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path):
 def test_a_high_pass_that_does_nothing_is_told(tmp_path, read_in):
     folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
     assert "highpass_unused" in read_in(folder / "a.csv").attrs["quality"]
-
-
-# A manifest without an encoder may ask for the speed from the vibration itself.
-
-
-def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path):
-    rows = [
-        ('kind = "vibration"\nexpected_rpm = [900.0, 800.0]', "the lowest and the highest speed"),
-        ('kind = "constant"\nspeed_rpm = 900.0\nexpected_rpm = [800.0, 900.0]', "goes with kind"),
-    ]
-    for encoder, words in rows:
-        with pytest.raises(ManyErrors, match=words):
-            read_manifest(tmp_path, "", encoder=encoder)
 
 
 def test_a_recording_without_encoder_gives_its_orders(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from crankorder.errors import CrankorderError, InputError
+from crankorder.errors import InputError
 from crankorder.ingest.draft import draft_manifest
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
@@ -110,14 +110,6 @@ def test_a_count_that_is_not_as_stated_is_refused(tmp_path, read_in, position, t
     (tmp_path / "run.toml").write_text(f'{head}{rest}source = "position (counts)"\npulses_per_rev = 1024\n')
     with pytest.raises(InputError, match=told):
         read_in(path)
-
-
-@pytest.mark.parametrize(
-    "line", ['kind = "angle"\nedge = "falling"', 'kind = "count"', 'kind = "angle"\npattern = "60-2"']
-)
-def test_keys_of_pulses_are_refused_beside_positions(manifest_of, line):
-    with pytest.raises(CrankorderError, match=r"says nothing of kind|needs pulses_per_rev"):
-        manifest_of(f'[[channels]]\nname = "a"\nunit = "g"\n[encoder]\nsource = "p"\n{line}\n')
 
 
 ROW = np.arange(TIME_S.size)

@@ -202,7 +202,7 @@ def find_mains_only(channels: Sequence[_Channel], rate_hz: float, shaft_hz: floa
         beside = np.array([_lines_beside(row, series_hz, mains_hz) for row in series]) / squares
         detail = f"{mains_hz:g} Hz, its multiples and noise alone, while others show the machine: pick-up, no sensor"
         for number in np.flatnonzero(of_mains & (beside < 0.01) & (beside[~of_mains].max() > 0.2)):
-            channels[number].faults.append(SignalFault("mains_only", "suspect", detail))
+            channels[int(number)].faults.append(SignalFault("mains_only", "suspect", detail))
         return
 
 
