@@ -112,9 +112,7 @@ class ShaftSignals:
                 recording.attrs["gap_starts_s"] = (gap_s + (own.start_s - self.base.start_s)).tolist()
         pulse_s = recording.variables["pulse_time"].values
         if encoder.second_track is not None:
-            track, levels = self.bases["the second track"], self.raw.columns[encoder.second_track]
-            at = (pulse_s + (self.base.start_s - track.start_s)) * track.rate_hz
-            self.flags.extend(direction_flags(levels, at, self.path, falling=encoder.edge == "falling"))
+            self._tell_direction(self.raw.columns[encoder.second_track], pulse_s)
         if encoder.file is not None and self.manifest.channels and pulse_s.size > 1:
             detail = (
                 "times of pulses come from a file of their own, and no signal that both recorded compares its clock "
@@ -132,6 +130,37 @@ class ShaftSignals:
 
     def _flag(self, name: str, severity: Severity, detail: str) -> None:
         self.flags.append(flag(self.path, name, severity, detail))
+
+    def _tell_direction(self, levels: FloatArray, pulse_s: Floats) -> None:
+        """Flag what the second track says of the direction; nothing where the shaft turns forwards.
+
+        Forwards the first track leads by a quarter of a pulse: the second, ``levels`` (sample,), is still low where the
+        first rises, at ``pulse_s`` (pulse,), and still high where it falls.
+        """
+        track = self.bases["the second track"]
+        low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
+        at = np.floor((pulse_s + (self.base.start_s - track.start_s)) * track.rate_hz).astype(np.int64)
+        at = at[(at >= 0) & (at < levels.size)]
+        if at.size < NUMBERS.fewest_pulses or not high > low:
+            why = "it is constant" if at.size else "no pulses"
+            self._flag("direction_unknown", "info", f"the second track says nothing of the direction: {why}")
+            return
+        backwards = (levels[at] > 0.5 * (low + high)) != (self.encoder.edge == "falling")
+        share = float(np.mean(backwards))
+        leads = f"the second track leads at {share:.1%} of the pulses"
+        if share >= NUMBERS.sure_share:
+            detail = (
+                f"{leads}: the shaft turns backwards, or the two tracks are swapped; the angle is counted up all the "
+                "same, so phases are those of the other direction"
+            )
+            self._flag("turns_backwards", "suspect", detail)
+        elif share > 1.0 - NUMBERS.sure_share:
+            first = int(np.flatnonzero(np.diff(backwards))[0]) + 1
+            detail = (
+                f"{leads}, first another way at pulse {first}: the shaft changes its direction, or too few samples lie "
+                "between the pulses to tell"
+            )
+            self._flag("direction_changes", "suspect", detail)
 
     def _add_stated_speed(self, recording: Gathered) -> None:
         """Note the speed that the manifest, or a number in the file, states; a shaft of constant speed needs one."""
@@ -259,38 +288,6 @@ class ShaftSignals:
             problem, place = "the speed signal has missing samples", f"sample {int(np.argmin(np.isfinite(speed)))}"
             raise InputError(problem, file=self.path, place=place, remedy="Leave the recording out")
         return speed
-
-
-def direction_flags(levels: FloatArray, pulse_samples: Floats, path: Path, *, falling: bool) -> list[QualityFlag]:
-    """What the second track says of the direction of the recording at ``path``; nothing where the shaft turns forwards.
-
-    Forwards the first track leads by a quarter of a pulse: the second, ``levels`` (sample,), is still low where the
-    first rises and still high where it falls (``falling``: these are the pulses). ``pulse_samples`` (pulse,) is where
-    the pulses lie, in samples.
-    """
-    low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
-    at = np.floor(pulse_samples).astype(np.int64)
-    at = at[(at >= 0) & (at < levels.size)]
-    if at.size < NUMBERS.fewest_pulses or not high > low:
-        detail = "the second track says nothing of the direction: " + ("it is constant" if at.size else "no pulses")
-        return [flag(path, "direction_unknown", "info", detail)]
-    is_high = levels[at] > 0.5 * (low + high)
-    backwards = ~is_high if falling else is_high
-    share = float(np.mean(backwards))
-    if share <= 1.0 - NUMBERS.sure_share:
-        return []
-    if share >= NUMBERS.sure_share:
-        detail = (
-            f"the second track leads at {share:.1%} of the pulses: the shaft turns backwards, or the two tracks are "
-            "swapped; the angle is counted up all the same, so phases are those of the other direction"
-        )
-        return [flag(path, "turns_backwards", "suspect", detail)]
-    first = int(np.flatnonzero(np.diff(backwards))[0]) + 1
-    detail = (
-        f"the second track leads at {share:.1%} of the pulses, first another way at pulse {first}: the shaft changes "
-        "its direction, or too few samples lie between the pulses to tell"
-    )
-    return [flag(path, "direction_changes", "suspect", detail)]
 
 
 def _add_times(recording: Gathered, role: str, time_s: Floats) -> None:
