@@ -12,20 +12,15 @@ from crankorder.errors import InputError
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.manifest import load_manifest, parts_of
 from crankorder.quantities import flags_of
+from crankorder.synth.write import toml_text
 from made.command import analysed, crankorder, done, findings_in
 from made.recordings import manifest, write_hdf5, write_table
 
 TEETH, MISSING, MEAN_RPM, SWING_RPM, LENGTH_S = 36, 1, 1400.0, 12.0, 6.0
 RATE_HZ = 5000
 
-HEAD = """schema_version = 1
-[test]
-name = "{name}"
-cycle = "four-stroke"
-[recordings]
-files = ["{files}"]
-"""
-WHEEL = f"pulses_per_rev = {TEETH}\nmissing_teeth = {MISSING}\n"
+HEAD = {"schema_version": 1, "test": {"cycle": "four-stroke"}, "recordings": {"files": ["a.csv"]}}
+WHEEL = {"pulses_per_rev": TEETH, "missing_teeth": MISSING}
 
 
 def angle_of(time_s):
@@ -72,8 +67,9 @@ def test_edges_alone_are_a_test_of_the_shaft(tmp_path):
     folder = tmp_path / "edges"
     folder.mkdir()
     write_edges(folder / "a.csv", rows_of(*edges_of(1)))
-    table = f'[sampling]\ntime_source = "Time [s]"\n[encoder]\nkind = "edge_list"\nsource = "crank"\n{WHEEL}'
-    (folder / "run.toml").write_text(HEAD.format(name="edges", files="a.csv") + table, encoding="utf-8")
+    tables = {"sampling": {"time_source": "Time [s]"}, "encoder": {"kind": "edge_list", "source": "crank", **WHEEL}}
+    text = toml_text({**HEAD, "test": {"name": "edges", "cycle": "four-stroke"}, **tables})
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     done("check", folder)
     assert "The shaft turned at 13" in done("run", folder, "--out", tmp_path / "out").output
     found = findings_in(tmp_path / "out")
@@ -90,7 +86,7 @@ def test_edges_alone_are_a_test_of_the_shaft(tmp_path):
 
 def test_a_test_without_channels_needs_pulses(tmp_path):
     (tmp_path / "a.csv").write_text("1,2\n3,4\n", encoding="utf-8")
-    (tmp_path / "run.toml").write_text(HEAD.format(name="none", files="a.csv"), encoding="utf-8")
+    (tmp_path / "run.toml").write_text(toml_text(HEAD), encoding="utf-8")
     checked = crankorder("check", tmp_path)
     assert checked.exit_code != 0
     assert "no channel is named" in checked.output and "edge_list" in checked.output
@@ -102,18 +98,10 @@ def joined(folder, *, offset_s=0.0, names=("a",), files="*.h5"):
     for seed, name in enumerate(names):
         write_signal(folder / f"{name}.h5")
         write_edges(folder / f"{name}.edges.csv", rows_of(*(edges - offset_s for edges in edges_of(seed))))
-    table = f"""[[channels]]
-name = "A"
-source = "a"
-unit = "m/s2"
-[encoder]
-file = "*.edges.csv"
-kind = "edge_list"
-source = "crank"
-time_source = "Time [s]"
-offset_s = {offset_s}
-{WHEEL}"""
-    (folder / "run.toml").write_text(HEAD.format(name="joined", files=files) + table, encoding="utf-8")
+    encoder = {"file": "*.edges.csv", "kind": "edge_list", "source": "crank", "time_source": "Time [s]"}
+    encoder |= {"offset_s": offset_s, **WHEEL}
+    text = manifest(files, name="joined", cycle="four-stroke", channels={"A": {"source": "a"}}, encoder=encoder)
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder
 
 
@@ -136,9 +124,9 @@ def test_d13_clocks_of_two_devices_are_said_not_to_be_compared_and_those_of_one_
     folder = tmp_path / "alone"
     folder.mkdir()
     write_signal(folder / "a.h5", pulses=pulses)
-    table = '[[channels]]\nname = "A"\nsource = "a"\nunit = "m/s2"\n'
-    table += f'[encoder]\nkind = "pulse_times"\nsource = "pulses"\n{WHEEL}'
-    (folder / "run.toml").write_text(HEAD.format(name="alone", files="*.h5") + table, encoding="utf-8")
+    encoder = {"kind": "pulse_times", "source": "pulses", **WHEEL}
+    text = manifest("*.h5", name="alone", cycle="four-stroke", channels={"A": {"source": "a"}}, encoder=encoder)
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     assert "clocks_not_compared" not in flags_in(analysed(folder, tmp_path / "alone-out", "--no-pictures"))
 
 
@@ -179,11 +167,11 @@ def test_zeros_behind_the_last_edge_are_left_out_and_other_bad_rows_named(tmp_pa
     folder = joined(tmp_path / "joined")
     rising, falling = edges_of(0)
     rows = rows_of(rising, falling if kind == "edge_list" else ())
-    manifest = (folder / "run.toml").read_text(encoding="utf-8")
-    manifest = manifest.replace('kind = "edge_list"', f'kind = "{kind}"\nedge = "{edge}"')
+    text = (folder / "run.toml").read_text(encoding="utf-8")
+    text = text.replace('kind = "edge_list"', f'kind = "{kind}"\nedge = "{edge}"')
     if kind == "pulse_times":
-        manifest = manifest.replace('source = "crank"', 'source = "Time [s]"').replace('time_source = "Time [s]"\n', "")
-    (folder / "run.toml").write_text(manifest, encoding="utf-8")
+        text = text.replace('source = "crank"', 'source = "Time [s]"').replace('time_source = "Time [s]"\n', "")
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     table = folder / "a.edges.csv"
     write_edges(table, [*rows, "0,0", "0,0"])
     recording = read_in(folder / "a.h5")
