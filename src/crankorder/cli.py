@@ -352,7 +352,7 @@ def _progress(quiet: bool, label: str) -> Iterator[Callable[[str, int, int], Non
 @_jobs
 def check(folders: tuple[Path, ...], manifest: Path | None, jobs: int) -> None:
     """Look at manifest, files and a bounded part of their samples; list every fault at once, change nothing."""
-    from crankorder.ingest.folder import manifest_faults
+    from crankorder.ingest.check import manifest_faults
 
     statuses: list[int] = []
     for folder in folders:

@@ -7,7 +7,7 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.errors import ManyErrors
 from crankorder.fft.decimation import band_limited
-from crankorder.ingest.folder import check_folder
+from crankorder.ingest.check import check_folder
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.orders.frames import order_frames

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from crankorder.errors import InputError, RequestError
+from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest
-from crankorder.ingest.folder import check_folder, recordings_of
+from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import recording_of

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from crankorder.errors import NoUsableRecordingError, RequestError
+from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest, save_drafts, speed_in_name
-from crankorder.ingest.folder import check_folder, recordings_of
+from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import load_manifest
 from made.recordings import write_hdf5, write_table
 

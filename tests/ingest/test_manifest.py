@@ -150,7 +150,7 @@ def test_lines_are_found_below_strings_and_arrays_of_several_lines():
 def test_a_wrong_manifest_is_refused_before_numpy_is_loaded(tmp_path):
     written(tmp_path, GOOD.replace("index = ", "idnex = "))
     code = (
-        "import sys\nfrom pathlib import Path\nfrom crankorder.ingest.folder import check_folder\n"
+        "import sys\nfrom pathlib import Path\nfrom crankorder.ingest.check import check_folder\n"
         "from crankorder.settings import load_settings\n"
         f"faults = check_folder(Path({str(tmp_path)!r}), settings=load_settings().ingest)\n"
         "heavy = {'numpy', 'xarray', 'h5py', 'pandas', 'scipy'} & set(sys.modules)\n"

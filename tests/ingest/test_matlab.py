@@ -9,8 +9,8 @@ import pytest
 import scipy.io
 
 from crankorder.errors import InputError, UnsafeInputError
+from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest
-from crankorder.ingest.folder import check_folder
 from crankorder.ingest.formats import contents_of, read_file
 from made.recordings import manifest
 

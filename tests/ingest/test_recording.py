@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import InputError
-from crankorder.ingest.folder import check_folder
+from crankorder.ingest.check import check_folder
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle

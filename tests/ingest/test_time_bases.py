@@ -5,8 +5,8 @@ import pytest
 from scipy.io import savemat
 
 from crankorder.errors import InputError
+from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest
-from crankorder.ingest.folder import check_folder
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_parts, read_recording
 from crankorder.quantities import flags_of

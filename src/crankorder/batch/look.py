@@ -12,7 +12,8 @@ from crankorder.batch.plan import settings_for
 from crankorder.batch.workers import WorkerDiedError, each
 from crankorder.checks.doubts import fault_of
 from crankorder.errors import CrankorderError, InputError
-from crankorder.ingest.folder import check_folder, recordings_of
+from crankorder.ingest.check import check_folder
+from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import Manifest, load_manifest
 from crankorder.ingest.recording import read_parts
 from crankorder.quantities import Floats, flags_of
