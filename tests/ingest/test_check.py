@@ -65,11 +65,10 @@ def test_an_encoder_or_cam_mark_that_is_absent_or_of_another_length_is_found_wit
         ({"cam": np.arange(9.0)}, "lengths differ: Z has 10 samples, the cam mark has 9"),
         ({"cam": np.arange(10.0), "enc": np.arange(9.0)}, "lengths differ: Z has 10 samples, the encoder has 9"),
     ]
+    encoder = {"kind": "square", "source": "enc", "pulses_per_rev": 4, "cam": "cam"}
+    text = manifest("*.h5", cycle="four-stroke", channels={"Z": {"source": "acc"}}, encoder=encoder)
+    (tmp_path / "run.toml").write_text(text)
     for columns, words in rows:
-        (tmp_path / "run.toml").write_text(
-            MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5").replace("rotor", "four-stroke")
-            + '[encoder]\nkind = "square"\nsource = "enc"\npulses_per_rev = 4\ncam = "cam"\n'
-        )
         recorded(tmp_path / "good.h5", acc=np.arange(10.0), **({"enc": np.arange(10.0)} | columns))
         (fault,) = check_folder(tmp_path, settings=limits)
         assert words in str(fault)

@@ -8,7 +8,7 @@ from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest, save_drafts, speed_in_name
 from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import load_manifest
-from made.recordings import write_hdf5
+from made.recordings import write_hdf5, write_table
 
 
 def test_a_draft_of_a_well_described_folder_reads_without_a_change(tmp_path, settings, read_in):
@@ -73,7 +73,6 @@ def test_a_draft_proposes_the_wheel_that_the_pulses_show(tmp_path, columns, whee
     assert {key: getattr(encoder, key) for key in wheel} == wheel and said in text
 
 
-@pytest.mark.slow
 def test_a_draft_lists_the_angles_of_a_wheel_without_a_name(tmp_path):
     teeth = [0.0, 40.0, 60.0, 130.0, 150.0, 155.0, 210.0]
     _, encoder = drafted(tmp_path, encoder=wheel_trace(teeth))
@@ -86,11 +85,6 @@ TIME_NAMES = {
     "time_s": 1.0, "Time (ms)": 1e-3, "t [s]": 1.0, "timestamp": 1.0, "Time": 1.0, "t_us": 1e-6, "Zeit [s]": 1.0,
 }  # fmt: skip
 SIGNAL_NAMES = {"Acc_Mount_Z (g)": "g", "a1 [m/s^2]": "m/s2", "Vib X (mm/s)": "mm/s", "p_cyl_bar": "bar"}
-
-
-def write_table(path, columns, *, separator=","):
-    rows = np.column_stack(list(columns.values()))
-    np.savetxt(path, rows, delimiter=separator, header=separator.join(columns), comments="", fmt="%.9g")
 
 
 def saved_draft(folder):
@@ -142,13 +136,14 @@ def test_a_speed_is_read_off_a_name_and_no_other_number_is():
 
 def test_speeds_of_names_are_drafted_where_every_file_has_one(tmp_path):
     time_s = np.arange(2000) / 1000.0
+    columns = {"Time (ms)": 1e3 * time_s, "acc (g)": np.sin(99.0 * time_s)}
     for name in ("800rpm.csv", "1200rpm.csv"):
-        write_table(tmp_path / name, {"Time (ms)": 1e3 * time_s, "acc (g)": np.sin(99.0 * time_s)}, separator=";")
+        write_table(tmp_path / name, columns, separator=";")
     text, manifest = saved_draft(tmp_path)
     assert manifest.recordings.speed_rpm == {"800rpm.csv": 800.0, "1200rpm.csv": 1200.0}
     assert manifest.encoder.kind == "constant"
     assert text.count("from the name of the file") == 2
-    write_table(tmp_path / "other.csv", {"Time (ms)": 1e3 * time_s, "acc (g)": np.sin(99.0 * time_s)}, separator=";")
+    write_table(tmp_path / "other.csv", columns, separator=";")
     _, manifest = saved_draft(tmp_path)
     assert (manifest.recordings.speed_rpm, manifest.encoder.kind, manifest.test.cycle) == ({}, "none", "none")
 
@@ -228,13 +223,12 @@ def test_drafts_are_saved_into_each_folder_of_recordings_and_over_none(tmp_path)
 @pytest.mark.slow
 def test_a_last_row_of_zeros_hides_no_time_and_no_wheel(tmp_path):
     at = np.arange(20_000) / 5000.0
-    rows = np.stack([at, np.cos(2 * np.pi * 40.0 * at), ((at * 20.0 * 36.0) % 1.0 < 0.5) * 5.0], axis=1)
-    table = np.vstack([rows, np.zeros((1, 3))])
-    np.savetxt(tmp_path / "1200rpm.csv", table, delimiter=",", header="time_s,A (g),enc", comments="", fmt="%.8g")
-    text = draft_manifest(tmp_path)
-    assert 'time_source = "time_s"' in text
-    assert 'kind = "square"' in text
-    assert "pulses_per_rev = 36" in text
+    rows = {"time_s": at, "A (g)": np.cos(2 * np.pi * 40.0 * at), "enc": ((at * 20.0 * 36.0) % 1.0 < 0.5) * 5.0}
+    write_table(tmp_path / "1200rpm.csv", {name: np.append(column, 0.0) for name, column in rows.items()})
+    _, manifest = saved_draft(tmp_path)
+    assert (manifest.sampling.time_source, manifest.encoder.kind, manifest.encoder.pulses_per_rev) == (
+        "time_s", "square", 36,
+    )  # fmt: skip
 
 
 def test_a_file_of_times_alone_is_drafted_as_pulses(tmp_path):
@@ -242,7 +236,7 @@ def test_a_file_of_times_alone_is_drafted_as_pulses(tmp_path):
         at = np.arange(0.0, 4.0, 1e-5)
         turns = np.cumsum(np.linspace(first, last, at.size)) / 60.0 * 1e-5
         times = np.interp(np.arange(1, int(turns[-1] * 36)) / 36.0, turns, at)
-        np.savetxt(tmp_path / f"run{number}.csv", times, header="crank_edge_time_s", comments="", fmt="%.7f")
+        write_table(tmp_path / f"run{number}.csv", {"crank_edge_time_s": times})
     text = draft_manifest(tmp_path)
     assert 'kind = "pulse_times"' in text
     assert "[[channels]]" not in text
@@ -252,8 +246,7 @@ def test_a_file_of_times_alone_is_drafted_as_pulses(tmp_path):
 def test_recordings_in_a_folder_beside_others_are_asked_about(tmp_path):
     for name in ("x.csv", "b/x.csv", "notes/read.me", "done/y.csv", "done/run.toml"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
-        rows = "\n".join(f"{0.001 * k:.3f},{np.sin(0.3 * k):.4f}" for k in range(64))
-        (tmp_path / name).write_text(f"time_s,acc_g\n{rows}\n", encoding="utf-8")
+        write_table(tmp_path / name, {"time_s": 1e-3 * np.arange(64), "acc_g": np.sin(0.3 * np.arange(64))})
     [line] = [line for line in draft_manifest(tmp_path).splitlines() if line.startswith("files")]
     assert line.split("#")[0].strip() == 'files = ["*.csv"]'
     assert '# ? there are more in b: "*/*.csv" beside it takes them too' in line

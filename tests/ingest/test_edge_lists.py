@@ -1,6 +1,7 @@
 """Times of edges are a test of the shaft by themselves, and give the angle of signals that another file holds."""
 
 import json
+from functools import partial
 
 import h5py
 import numpy as np
@@ -11,20 +12,15 @@ from crankorder.errors import InputError
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.manifest import load_manifest, parts_of
 from crankorder.quantities import flags_of
+from crankorder.synth.write import toml_text
 from made.command import analysed, crankorder, done, findings_in
-from made.recordings import write_hdf5
+from made.recordings import manifest, write_hdf5, write_table
 
 TEETH, MISSING, MEAN_RPM, SWING_RPM, LENGTH_S = 36, 1, 1400.0, 12.0, 6.0
 RATE_HZ = 5000
 
-HEAD = """schema_version = 1
-[test]
-name = "{name}"
-cycle = "four-stroke"
-[recordings]
-files = ["{files}"]
-"""
-WHEEL = f"pulses_per_rev = {TEETH}\nmissing_teeth = {MISSING}\n"
+HEAD = {"schema_version": 1, "test": {"cycle": "four-stroke"}, "recordings": {"files": ["a.csv"]}}
+WHEEL = {"pulses_per_rev": TEETH, "missing_teeth": MISSING}
 
 
 def angle_of(time_s):
@@ -71,8 +67,9 @@ def test_edges_alone_are_a_test_of_the_shaft(tmp_path):
     folder = tmp_path / "edges"
     folder.mkdir()
     write_edges(folder / "a.csv", rows_of(*edges_of(1)))
-    table = f'[sampling]\ntime_source = "Time [s]"\n[encoder]\nkind = "edge_list"\nsource = "crank"\n{WHEEL}'
-    (folder / "run.toml").write_text(HEAD.format(name="edges", files="a.csv") + table, encoding="utf-8")
+    tables = {"sampling": {"time_source": "Time [s]"}, "encoder": {"kind": "edge_list", "source": "crank", **WHEEL}}
+    text = toml_text({**HEAD, "test": {"name": "edges", "cycle": "four-stroke"}, **tables})
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     done("check", folder)
     assert "The shaft turned at 13" in done("run", folder, "--out", tmp_path / "out").output
     found = findings_in(tmp_path / "out")
@@ -89,7 +86,7 @@ def test_edges_alone_are_a_test_of_the_shaft(tmp_path):
 
 def test_a_test_without_channels_needs_pulses(tmp_path):
     (tmp_path / "a.csv").write_text("1,2\n3,4\n", encoding="utf-8")
-    (tmp_path / "run.toml").write_text(HEAD.format(name="none", files="a.csv"), encoding="utf-8")
+    (tmp_path / "run.toml").write_text(toml_text(HEAD), encoding="utf-8")
     checked = crankorder("check", tmp_path)
     assert checked.exit_code != 0
     assert "no channel is named" in checked.output and "edge_list" in checked.output
@@ -101,18 +98,10 @@ def joined(folder, *, offset_s=0.0, names=("a",), files="*.h5"):
     for seed, name in enumerate(names):
         write_signal(folder / f"{name}.h5")
         write_edges(folder / f"{name}.edges.csv", rows_of(*(edges - offset_s for edges in edges_of(seed))))
-    table = f"""[[channels]]
-name = "A"
-source = "a"
-unit = "m/s2"
-[encoder]
-file = "*.edges.csv"
-kind = "edge_list"
-source = "crank"
-time_source = "Time [s]"
-offset_s = {offset_s}
-{WHEEL}"""
-    (folder / "run.toml").write_text(HEAD.format(name="joined", files=files) + table, encoding="utf-8")
+    encoder = {"file": "*.edges.csv", "kind": "edge_list", "source": "crank", "time_source": "Time [s]"}
+    encoder |= {"offset_s": offset_s, **WHEEL}
+    text = manifest(files, name="joined", cycle="four-stroke", channels={"A": {"source": "a"}}, encoder=encoder)
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder
 
 
@@ -135,9 +124,9 @@ def test_d13_clocks_of_two_devices_are_said_not_to_be_compared_and_those_of_one_
     folder = tmp_path / "alone"
     folder.mkdir()
     write_signal(folder / "a.h5", pulses=pulses)
-    table = '[[channels]]\nname = "A"\nsource = "a"\nunit = "m/s2"\n'
-    table += f'[encoder]\nkind = "pulse_times"\nsource = "pulses"\n{WHEEL}'
-    (folder / "run.toml").write_text(HEAD.format(name="alone", files="*.h5") + table, encoding="utf-8")
+    encoder = {"kind": "pulse_times", "source": "pulses", **WHEEL}
+    text = manifest("*.h5", name="alone", cycle="four-stroke", channels={"A": {"source": "a"}}, encoder=encoder)
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     assert "clocks_not_compared" not in flags_in(analysed(folder, tmp_path / "alone-out", "--no-pictures"))
 
 
@@ -160,42 +149,15 @@ def test_d13_a_drift_between_the_clocks_of_two_devices_is_told_by_the_orders(tmp
 
 
 @pytest.mark.slow
-def test_a_list_of_edges_is_no_recording_of_its_own(tmp_path):
-    assert "edges.csv" not in done("run", joined(tmp_path / "joined", files="*"), "--out", tmp_path / "out").output
-
-
-@pytest.mark.slow
-def test_a_missing_list_takes_its_own_recording_alone(tmp_path):
-    folder = joined(tmp_path / "joined", names=("a", "b"))
+def test_a_list_of_edges_is_no_recording_and_a_missing_one_takes_its_own_recording_alone(tmp_path):
+    folder = joined(tmp_path / "joined", names=("a", "b"), files="*")
+    assert "edges.csv" not in done("run", folder, "--out", tmp_path / "whole", "--no-pictures").output
     (folder / "b.edges.csv").unlink()
     checked = crankorder("check", folder)
     assert checked.exit_code != 0 and "b.edges.csv: no such file" in checked.output
     outcome = crankorder("run", folder, "--out", tmp_path / "out", "--no-pictures")
     assert outcome.exit_code == 3 and "b.edges.csv: no such file" in outcome.output
     assert findings_in(tmp_path / "out")["orders"]
-
-
-@pytest.mark.slow
-def test_other_edges_are_another_result(tmp_path):
-    folder = joined(tmp_path / "joined")
-    done("run", folder, "--out", tmp_path / "out")
-    first = (tmp_path / "out" / "joined" / "results.nc").read_bytes()
-    write_edges(folder / "a.edges.csv", rows_of(*edges_of(17)))
-    assert "unchanged" not in done("run", folder, "--out", tmp_path / "out").output
-    assert (tmp_path / "out" / "joined" / "results.nc").read_bytes() != first
-
-
-def test_keys_that_do_not_fit_are_refused(tmp_path):
-    rows = [
-        ('file = "../a.csv"\nkind = "edge_list"\nsource = 0\n', "beside the recording"),
-        ('file = "a.csv"\nkind = "square"\nsource = 0\n', "a file of its own holds times"),
-        ('kind = "edge_list"\nsource = 0\noffset_s = 1.0\n', "offset_s is that of the file of pulses"),
-    ]
-    for keys, words in rows:
-        text = HEAD.format(name="x", files="a.h5") + '[[channels]]\nname = "A"\nunit = "V"\n[encoder]\n' + keys
-        (tmp_path / "run.toml").write_text(text, encoding="utf-8")
-        checked = crankorder("check", tmp_path)
-        assert checked.exit_code != 0 and words in checked.output
 
 
 @pytest.mark.parametrize(
@@ -205,11 +167,11 @@ def test_zeros_behind_the_last_edge_are_left_out_and_other_bad_rows_named(tmp_pa
     folder = joined(tmp_path / "joined")
     rising, falling = edges_of(0)
     rows = rows_of(rising, falling if kind == "edge_list" else ())
-    manifest = (folder / "run.toml").read_text(encoding="utf-8")
-    manifest = manifest.replace('kind = "edge_list"', f'kind = "{kind}"\nedge = "{edge}"')
+    text = (folder / "run.toml").read_text(encoding="utf-8")
+    text = text.replace('kind = "edge_list"', f'kind = "{kind}"\nedge = "{edge}"')
     if kind == "pulse_times":
-        manifest = manifest.replace('source = "crank"', 'source = "Time [s]"').replace('time_source = "Time [s]"\n', "")
-    (folder / "run.toml").write_text(manifest, encoding="utf-8")
+        text = text.replace('source = "crank"', 'source = "Time [s]"').replace('time_source = "Time [s]"\n', "")
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     table = folder / "a.edges.csv"
     write_edges(table, [*rows, "0,0", "0,0"])
     recording = read_in(folder / "a.h5")
@@ -240,34 +202,13 @@ def columns_of(rpm, seed):
     return samples, events
 
 
-def write(path, columns):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".h5":
-        write_hdf5(path, columns)
-        return
-    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
-    text = [",".join(f"{value:.9g}" if value < 1e3 else str(value) for value in row) for row in rows]
-    path.write_text("\n".join([",".join(columns), *text]) + "\n", encoding="utf-8")
-
-
 def folder_of(folder, samples, events):
     for seed, (run, rpm) in enumerate(RPM.items(), 1):
         for pattern, columns in zip((samples, events), columns_of(rpm, seed), strict=True):
-            write(folder / pattern.format(run=run), columns)
+            path = folder / pattern.format(run=run)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            (write_hdf5 if path.suffix == ".h5" else partial(write_table, fmt="%.16g"))(path, columns)
     return folder
-
-
-def manifest(folder, files, pulses):
-    text = f"""schema_version = 1
-test.cycle = "rotor"
-recordings.files = ["{files}"]
-sampling.time_source = "timestamp_us"
-encoder = {{file = "{pulses}", source = "timestamp_us", kind = "pulse_times", pulses_per_rev = 1}}
-[[channels]]
-name = "y_g"
-unit = "g"
-"""
-    (folder / "run.toml").write_text(text, encoding="utf-8")
 
 
 def is_right(findings):
@@ -305,7 +246,7 @@ def test_a_draft_takes_no_slow_recording_for_pulses(tmp_path, other):
         us = samples["timestamp_us"][::100] + (0 if other != "later" else 10**9)
         slow = 85.0 + 0.1 * np.random.default_rng(seed).standard_normal(us.size)
         columns = {"temperature": {"oil": slow}, "speed": {"rpm": rpm + slow}, "later": {"turns": np.arange(us.size)}}
-        write(folder / f"slow_{run}.csv", {"timestamp_us": us} | columns[other])
+        write_table(folder / f"slow_{run}.csv", {"timestamp_us": us} | columns[other], fmt="%.16g")
     assert "file = " not in draft_manifest(folder)
 
 
@@ -332,7 +273,10 @@ def test_parts_that_do_not_pair_are_refused(tmp_path):
         ("ACCEL_{run}.csv", "HALL_{run}.csv", "no recording found; looked for ACCEL_{run}.csv"),
     ]
     for files, pulses, words in rows:
-        manifest(folder, files, pulses)
+        encoder = {"file": pulses, "source": "timestamp_us", "kind": "pulse_times", "pulses_per_rev": 1}
+        channels = {"y_g": {"unit": "g"}}
+        text = manifest(files, channels=channels, sampling={"time_source": "timestamp_us"}, encoder=encoder)
+        (folder / "run.toml").write_text(text, encoding="utf-8")
         checked = crankorder("check", folder)
         assert bool(checked.exit_code) == bool(words), checked.output
         assert words in checked.output

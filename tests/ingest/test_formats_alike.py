@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from crankorder.errors import CrankorderError, InputError, UnsafeInputError
 from crankorder.ingest.draft import draft_manifest
@@ -17,6 +18,7 @@ from crankorder.ingest.formats import FORMATS, TEXT, contents_of, read_file
 from crankorder.ingest.manifest import load_manifest
 from crankorder.scratch import is_on_disk
 from made import time_bases
+from made.recordings import write_hdf5, write_table
 from made.time_bases import Sampled
 
 RATE_HZ, LENGTH_S, REVS_PER_S, TEETH = 8192.0, 1.2, 20.5, 36
@@ -35,8 +37,8 @@ def columns(seed):
 
 
 def as_csv(folder, made):
-    table = np.column_stack(list(made.values()))
-    np.savetxt(folder / "a.csv", table, delimiter=";", header="Time [s];acc [g];crank", comments="", fmt="%.9g")
+    columns = dict(zip(("Time [s]", "acc [g]", "crank"), made.values(), strict=True))
+    write_table(folder / "a.csv", columns, separator=";")
 
 
 def as_xlsx(folder, made):
@@ -276,6 +278,32 @@ def test_contents_are_those_of_what_is_read_and_reading_changes_nothing(limits, 
         assert told.samples.get(one.source, 2000) == raw.columns[one.source].size == 2000, kind
         assert told.units.get(one.source) == raw.units.get(one.source), kind
         assert before == (one.path.read_bytes(), one.path.stat().st_mtime_ns, sorted(one.path.parent.iterdir())), kind
+
+
+ARRAYS = {
+    "a.npy": np.save, "a.h5": lambda path, values: write_hdf5(path, {"x": values}),
+    "a.mat": lambda path, values: savemat(path, {"x": values}, do_compression=values.ndim > 1),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_numbers_of_every_type_are_those_that_were_saved(tmp_path, limits, name):
+    for kind in ("<f8", ">f4", "i1", "u1", ">i2", "u2", "<i4", ">u4", "i8", "u8", "?"):
+        values = (np.arange(700) % 120).astype(kind)
+        ARRAYS[name](tmp_path / name, values)
+        column = read_file(tmp_path / name, sources=[0], settings=limits).columns[0]
+        np.testing.assert_array_equal(column, values.astype(column.dtype))
+        assert column.dtype == (np.float32 if kind[-2:] in ("f4", "i1", "u1", "i2", "u2", "?") else np.float64)
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_the_longer_side_of_a_table_is_time_whichever_way_it_lies(tmp_path, limits, name):
+    table = np.random.default_rng(1).normal(size=(400, 3))
+    for values in (table, table.T, np.asfortranarray(table), np.asfortranarray(table.T)):
+        ARRAYS[name](tmp_path / name, values)
+        assert list(contents_of(tmp_path / name, settings=limits).samples.values()) == [400] * 3
+        columns = read_file(tmp_path / name, sources=[2, 0], settings=limits).columns
+        np.testing.assert_array_equal(np.stack([columns[0], columns[2]], axis=1), table[:, [0, 2]])
 
 
 def test_every_format_that_is_read_is_held_to_these_laws():

@@ -32,25 +32,6 @@ def test_float32_columns_are_read_exactly_and_side_by_side(recorded, limits):
     assert rows[1].ctypes.data - rows[0].ctypes.data == rows[0].nbytes
 
 
-def test_every_number_type_keeps_its_values(tmp_path, limits):
-    for dtype in ["<f8", ">f4", "<i2", ">i4", "<u1", "<f2"]:
-        for chunks in [None, (1000,)]:
-            values = (RNG.integers(0, 100, 2500)).astype(dtype)
-            with h5py.File(tmp_path / "a.h5", "w") as file:
-                file.create_dataset("a", data=values, chunks=chunks, compression=None if chunks is None else "gzip")
-            raw = read_file(tmp_path / "a.h5", sources=["a"], settings=limits)
-            np.testing.assert_array_equal(raw.columns["a"], values.astype(float))
-
-
-def test_columns_of_a_table_are_channels_whichever_way_it_lies(tmp_path, limits):
-    for transposed in [False, True]:
-        table = RNG.standard_normal((500, 3))
-        path = write_hdf5(tmp_path / "a.h5", {"t": table.T if transposed else table})
-        raw = read_file(path, sources=["t[2]", "t[0]"], settings=limits)
-        np.testing.assert_array_equal(raw.columns["t[2]"], table[:, 2])
-        np.testing.assert_array_equal(raw.columns["t[0]"], table[:, 0])
-
-
 def test_netcdf_packing_and_fill_values_are_undone(tmp_path, limits):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["a"] = np.array([1, 2, -32768, 4], dtype=np.int16)
@@ -74,14 +55,14 @@ def test_a_truncated_file_never_yields_a_shorter_recording(tmp_path, limits):
 
 def test_a_file_that_its_writer_never_closed_is_named_and_left_alone(tmp_path, limits):
     path = tmp_path / "open.h5"
-    with h5py.File(path, "w", libver="latest") as file:
+    with h5py.File(tmp_path / "written.h5", "w", libver="latest") as file:
         file["a"] = np.zeros(10)
-    content = bytearray(path.read_bytes())
-    content[11] |= 0b101
+        file.flush()
+        content = (tmp_path / "written.h5").read_bytes()
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"was not closed by its writer.*h5clear --status"):
         read_file(path, sources=["a"], settings=limits)
-    assert path.read_bytes() == bytes(content)
+    assert path.read_bytes() == content
 
 
 def test_external_storage_and_links_are_refused_and_their_content_never_shows(tmp_path, limits):
@@ -171,35 +152,6 @@ def test_text_objects_compounds_and_links_are_no_channels_and_a_group_that_holds
         file["soft"] = h5py.SoftLink("/real")
         file["g/loop"] = file["/"]
     assert contents_of(tmp_path / "a.h5", settings=limits).names == ("real",)
-
-
-@pytest.mark.slow
-def test_random_damage_gives_right_data_or_an_input_error(recorded, limits):
-    path, data = recorded
-    content = path.read_bytes()
-    random = np.random.default_rng(7)
-    outcomes = {"right": 0, "refused": 0}
-    # only bytes of the structure: a flip in plain samples cannot be seen
-    with h5py.File(path, "r") as file:
-        starts = [file[name].id.get_offset() for name in ("acc_x", "acc_z", "raw/encoder")]
-        sample_bytes = {place for start in starts for place in range(start, start + data[0].nbytes)}
-    structure = [place for place in range(len(content)) if place not in sample_bytes]
-    for _ in range(150):
-        damaged = bytearray(content)
-        damaged[random.choice(structure)] ^= 1 << int(random.integers(8))
-        path.write_bytes(damaged)
-        try:
-            raw = read_file(path, sources=["acc_x", "acc_z", "raw/encoder"], settings=limits)
-        except InputError as error:
-            assert "run.h5" in str(error)
-            outcomes["refused"] += 1
-        else:
-            outcomes["right"] += all(
-                np.array_equal(column, row) for column, row in zip(raw.columns.values(), data, strict=True)
-            )
-    # the few others: this format has no checksum over its structure, so that an address may be off unseen
-    assert outcomes["refused"] > 10
-    assert outcomes["right"] + outcomes["refused"] >= 140
 
 
 def test_a_rate_that_lies_beside_the_samples_as_a_number_of_its_own_is_read(tmp_path, limits):

@@ -7,7 +7,7 @@ from crankorder.batch.look import look_at
 from crankorder.errors import ManyErrors
 from crankorder.ingest.manifest import load_manifest
 from made.command import analysed
-from made.recordings import manifest, read_manifest, write_hdf5
+from made.recordings import manifest, write_hdf5, write_table
 
 RATE_HZ = 2560.0
 HEAD = """schema_version = 1
@@ -24,7 +24,7 @@ source = 0
 
 
 def folder_of(path, channel, *, head, values):
-    np.savetxt(path / "a.csv", values, header=head, comments="", fmt="%.9g")
+    write_table(path / "a.csv", {head: values})
     (path / "run.toml").write_text(HEAD + channel)
     return path
 
@@ -120,8 +120,7 @@ def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path):
     ]
     for channel, said in rows:
         folder = folder_of(tmp_path, channel, head="time_s,acc", values=tone(40.0)[:100])
-        rows = np.stack([np.arange(5120) / 2560.0, tone(40.0)[:5120]], axis=1)
-        np.savetxt(folder / "a.csv", rows, header="time_s,acc", comments="", fmt="%.9g", delimiter=",")
+        write_table(folder / "a.csv", {"time_s": np.arange(5120) / 2560.0, "acc": tone(40.0)[:5120]})
         text = (folder / "run.toml").read_text().replace("rate_hz = 2560.0", 'time_source = "time_s"')
         (folder / "run.toml").write_text(text.replace("source = 0", 'source = "acc"'))
         (fault,) = look_at(folder, None, jobs=1).faults
@@ -134,19 +133,6 @@ def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path):
 def test_a_high_pass_that_does_nothing_is_told(tmp_path, read_in):
     folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
     assert "highpass_unused" in read_in(folder / "a.csv").attrs["quality"]
-
-
-# A manifest without an encoder may ask for the speed from the vibration itself.
-
-
-def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path):
-    rows = [
-        ('kind = "vibration"\nexpected_rpm = [900.0, 800.0]', "the lowest and the highest speed"),
-        ('kind = "constant"\nspeed_rpm = 900.0\nexpected_rpm = [800.0, 900.0]', "goes with kind"),
-    ]
-    for encoder, words in rows:
-        with pytest.raises(ManyErrors, match=words):
-            read_manifest(tmp_path, "", encoder=encoder)
 
 
 def test_a_recording_without_encoder_gives_its_orders(tmp_path):

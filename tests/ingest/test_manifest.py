@@ -92,7 +92,7 @@ def test_all_faults_of_one_manifest_are_listed_with_key_and_line(tmp_path):
     assert "Did you mean 'index'?" in text
 
 
-TEETH = "pulses_per_rev = 360"
+KIND, TEETH = 'kind = "square"', "pulses_per_rev = 360"
 SECOND = '[[channels]]\nname = "Z"\nunit = "V"\n[encoder]'
 NUMBERS = [("ratio", "1e300"), ("ratio", "1e-300"), ("index_to_tdc_deg", "1e308"), ("missing_teeth", "5000000000")]
 CONTRADICTIONS = [
@@ -111,6 +111,15 @@ CONTRADICTIONS = [
     ('domain = "time"', 'domain = "crank_angle"', "samples by crank angle need samples_per_rev"),
     ("rolling_elements = 11\n", "", "a bearing needs a designation, rolling_elements and ball_over_pitch, or"),
     ("[encoder]", SECOND, "two channels have the same name"),
+    (TEETH, f"{TEETH}\nexpected_rpm = [900.0, 800.0]", "the lowest and the highest speed"),
+    (TEETH, f"{TEETH}\nexpected_rpm = [800.0, 900.0]", "expected_rpm goes with kind"),
+    (TEETH, f'{TEETH}\nfile = "../a.csv"', "beside the recording"),
+    (TEETH, f'{TEETH}\nfile = "a.csv"', "a file of its own holds times"),
+    (TEETH, f"{TEETH}\noffset_s = 1.0", "offset_s is that of the file of pulses"),
+    (KIND, 'kind = "angle"', "pulses_per_rev says nothing of kind 'angle'"),
+    (f'{KIND}\n{TEETH}\nindex = "index"', 'kind = "angle"', "edge says nothing of kind 'angle'"),
+    (f"{KIND}\n{TEETH}", 'kind = "angle"\npattern = "60-2"', "pattern says nothing of kind 'angle'"),
+    (f"{KIND}\n{TEETH}", 'kind = "count"', "an encoder of kind 'count' needs pulses_per_rev"),
 ]  # fmt: skip
 
 

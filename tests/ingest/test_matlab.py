@@ -26,27 +26,6 @@ def saved(tmp_path):
     return write
 
 
-def test_numbers_of_every_type_are_those_that_were_saved(saved, limits):
-    for compressed in [False, True]:
-        for kind in ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?"):
-            values = (np.arange(700) % 120).astype(kind)
-            path = saved(x=values, compressed=compressed)
-            column = read_file(path, sources=["x"], settings=limits).columns["x"]
-            np.testing.assert_array_equal(column, values.astype(column.dtype))
-            assert column.dtype == (np.float32 if kind in ("f4", "i1", "u1", "i2", "u2", "?") else np.float64)
-
-
-def test_rows_and_columns_of_a_matrix_are_channels_along_its_longer_side(saved, limits):
-    for compressed in [False, True]:
-        for across in [False, True]:
-            table = np.random.default_rng(1).normal(size=(500, 3))
-            path = saved(data=table.T if across else table, compressed=compressed)
-            assert contents_of(path, settings=limits).names == ("data[0]", "data[1]", "data[2]")
-            columns = read_file(path, sources=["data[2]", 0], settings=limits).columns
-            np.testing.assert_array_equal(columns["data[2]"], table[:, 2])
-            np.testing.assert_array_equal(columns[0], table[:, 0])
-
-
 def test_what_lies_in_structs_and_cells_has_a_name_of_its_own(saved, limits):
     for compressed in [False, True]:
         cell = np.empty(2, dtype=object)

@@ -19,26 +19,6 @@ def saved(tmp_path):
     return write
 
 
-def test_the_longer_side_is_time_however_the_values_lie(saved, limits):
-    for order in ["C", "F"]:
-        for across in [False, True]:
-            table = np.random.default_rng(1).normal(size=(400, 3))
-            path = saved(np.asarray(table.T if across else table, order=order))
-            assert contents_of(path, settings=limits).samples == {"0": 400, "1": 400, "2": 400}
-            columns = read_file(path, sources=[2, "0"], settings=limits).columns
-            np.testing.assert_array_equal(columns[2], table[:, 2])
-            np.testing.assert_array_equal(columns["0"], table[:, 0])
-
-
-def test_numbers_of_every_type_are_those_that_were_saved(saved, limits):
-    targets = {"<f8": "f8", ">f8": "f8", "<f4": "f4", "<i2": "f4", ">i4": "f8", "<u8": "f8", "?": "f4"}
-    for kind, target in targets.items():
-        values = (np.arange(100) % 50).astype(kind)
-        column = read_file(saved(values), sources=[0], settings=limits).columns[0]
-        assert column.dtype == np.dtype(target)
-        np.testing.assert_array_equal(column, values.astype(target))
-
-
 def test_fields_are_columns_by_name(saved, limits):
     table = np.zeros(50, dtype=[("t", "f8"), ("acc", "f4")])
     table["acc"] = np.arange(50)

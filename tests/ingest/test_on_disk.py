@@ -2,7 +2,6 @@
 
 import errno
 import os
-import wave
 from pathlib import Path
 
 import h5py
@@ -50,23 +49,6 @@ def test_hdf5_columns_are_the_same_on_disk(tmp_path, limits, stored):
             made = file.create_dataset(name, data=(1000 * values).astype(stored["dtype"]), **stored)
             made.attrs.update({"scale_factor": 0.5, "_FillValue": made[5], "units": "V", "rate_hz": 1e3})
     assert_same(*both(tmp_path / "a.h5", ["c", "a", "b", 0], limits))
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("across", [False, True])
-def test_columns_of_a_table_in_hdf5_are_the_same_on_disk(tmp_path, limits, across):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.create_dataset("t", data=NOISE if across else NOISE.T, chunks=(3, 999) if across else (999, 3))
-    assert_same(*both(tmp_path / "a.h5", ["t[2]", "t[0]"], limits))
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("width", [3, 1, 2])
-def test_wav_channels_are_the_same_on_disk(tmp_path, limits, width):
-    with wave.open(str(tmp_path / "a.wav"), "wb") as file:
-        file.setparams((3, width, 48_000, 0, "NONE", ""))
-        file.writeframes(np.random.default_rng(1).bytes(3 * width * N))
-    assert_same(*both(tmp_path / "a.wav", ["2", "0"], limits))
 
 
 @pytest.mark.slow

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import scipy.io
 
-from crankorder.errors import CrankorderError, InputError
+from crankorder.errors import InputError
 from crankorder.ingest.draft import draft_manifest
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.stages import shaft as shaft_stage
 from made.command import crankorder, done
-from made.recordings import write_hdf5
+from made.recordings import write_hdf5, write_table
 
 RATE_HZ, LENGTH_S = 4000.0, 4.0
 TIME_S = np.arange(int(RATE_HZ * LENGTH_S)) / RATE_HZ
@@ -31,9 +31,8 @@ def signal_of(turns):
 
 def written(folder, form, position, name, unit, signal):
     if form == "csv":
-        heads = f"time (s),acc (m/s2),{name} ({unit})" if unit else f"time (s),acc (m/s2),{name}"
-        table = np.column_stack([TIME_S, signal, position])
-        np.savetxt(folder / "a.csv", table, delimiter=",", header=heads, comments="", fmt="%.6f")
+        columns = {"time (s)": TIME_S, "acc (m/s2)": signal, f"{name} ({unit})" if unit else name: position}
+        write_table(folder / "a.csv", columns, fmt="%.6f")
     elif form == "h5":
         write_hdf5(
             folder / "a.h5", {"acc": signal, name: position}, unit={"acc": "m/s2", name: unit}, sample_rate=RATE_HZ
@@ -113,14 +112,6 @@ def test_a_count_that_is_not_as_stated_is_refused(tmp_path, read_in, position, t
         read_in(path)
 
 
-@pytest.mark.parametrize(
-    "line", ['kind = "angle"\nedge = "falling"', 'kind = "count"', 'kind = "angle"\npattern = "60-2"']
-)
-def test_keys_of_pulses_are_refused_beside_positions(manifest_of, line):
-    with pytest.raises(CrankorderError, match=r"says nothing of kind|needs pulses_per_rev"):
-        manifest_of(f'[[channels]]\nname = "a"\nunit = "g"\n[encoder]\nsource = "p"\n{line}\n')
-
-
 ROW = np.arange(TIME_S.size)
 
 
@@ -177,9 +168,9 @@ def test_a_speed_at_another_rate_is_told(tmp_path):
 
 def as_text(folder, angle, pressure):
     """With an angle of another thing beside it, which counts for nothing."""
-    table = np.column_stack((angle, pressure, np.random.default_rng(3).normal(20.0, 1.0, angle.size)))
-    head = "CA (deg)\tp_cyl (bar)\tthrottle (deg)"
-    np.savetxt(folder / "a.txt", table, delimiter="\t", fmt=("%.3f", "%.5f", "%.4f"), header=head, comments="")
+    throttle = np.random.default_rng(3).normal(20.0, 1.0, angle.size)
+    columns = {"CA (deg)": angle, "p_cyl (bar)": pressure, "throttle (deg)": throttle}
+    write_table(folder / "a.txt", columns, separator="\t", fmt="%.5f")
 
 
 def as_hdf5(folder, angle, pressure):

@@ -9,8 +9,6 @@ import pytest
 
 from crankorder.errors import InputError
 from crankorder.ingest.check import check_folder
-from crankorder.ingest.folder import recordings_of
-from crankorder.ingest.manifest import load_manifest
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
@@ -166,31 +164,19 @@ def test_rows_of_zeros_that_a_logger_adds_at_the_end_are_left_out(write, read):
     assert flagged(recording) == [("rows_of_zeros", "info")]
 
 
-def test_a_few_missing_samples_are_bridged_and_flagged(write, read):
+def test_a_few_missing_samples_are_bridged_and_a_longer_gap_stays_missing_both_with_place_and_length(write, read):
+    tone = np.sin(2 * np.pi * 5 * TIME)
     for bad in [np.nan, -np.inf, 9.96921e36, -9999.0]:
-        for dtype in [np.float32, np.float64]:
-            values = np.sin(2 * np.pi * 5 * TIME).astype(dtype)
-            values[500:503] = bad
+        for first, n in [(500, 3), (0, 4), (500, 4), (7000, 4900), (N - 4, 4)]:
+            values, expected = tone.astype(np.float32 if first else np.float64), tone.copy()
+            values[first : first + n], expected[first : first + n] = bad, np.nan if n > 3 else tone[first : first + n]
             recording = read(write(acc=values))
-            signal = recording["signal"].values[0]
-            assert np.isfinite(signal).all()
-            np.testing.assert_allclose(signal, np.sin(2 * np.pi * 5 * TIME), atol=1e-4)
-            assert flagged(recording) == [("non_finite_interpolated", "suspect")]
-            assert "channel Z: 3 missing samples bridged, first at sample 500" in flags_of(recording)[0]["detail"]
-
-
-def test_a_longer_gap_stays_missing_and_is_flagged_with_place_and_length(write, read):
-    for bad in [np.nan, 1e30, -999.0]:
-        for first, n in [(0, 4), (500, 4), (7000, 5000), (N - 4, 4)]:
-            values = np.sin(2 * np.pi * 5 * TIME)
-            expected = values.copy()
-            values[first : first + n], expected[first : first + n] = bad, np.nan
-            recording = read(write(acc=values))
-            np.testing.assert_array_equal(recording["signal"].values[0], expected)
-            assert flagged(recording) == [("gap", "suspect")]
-            detail = flags_of(recording)[0]["detail"]
-            said = f"channel Z: {n} samples ({n / N:.2%}) missing in 1 gap, the longest of {n} from sample {first};"
-            assert said in detail
+            np.testing.assert_allclose(recording["signal"].values[0], expected, atol=1e-4)
+            (told,) = flags_of(recording)
+            gap = f"{n} samples ({n / N:.2%}) missing in 1 gap, the longest of {n} from sample {first};"
+            assert told["severity"] == "suspect"
+            assert told["flag"] == ("gap" if n > 3 else "non_finite_interpolated")
+            assert f"channel Z: {gap if n > 3 else '3 missing samples bridged, first at sample 500'}" in told["detail"]
 
 
 def test_a_gap_a_few_lost_samples_and_a_dropout_are_told_apart(write, read):
@@ -256,31 +242,23 @@ def test_a_channel_that_is_also_the_encoder_is_not_spoilt_by_its_unit(write, rea
     assert recording.sizes["pulse"] == pytest.approx(1000 / 60 * 36 * N / RATE, abs=2)
 
 
-def test_a_named_wheel_and_a_cam_mark_reach_the_recording(write, read):
-    tables = (
-        CHANNEL + '[encoder]\nkind = "square"\nsource = "enc"\npattern = "36-2-1"\ncam = "cam"\ncam_to_tdc_deg = 77\n'
-    )
-    recording = read(write(acc=TIME, enc=turned(1000, 36), cam=turned(500, 1)), tables)
-    assert len(recording.attrs["tooth_angles_deg"]) == 33
-    assert recording.attrs["tooth_angles_deg"][16:18] == [160.0, 180.0]
-    assert recording.attrs["cam_to_tdc_deg"] == 77.0
-    assert "pulses_per_rev" not in recording.attrs
-    np.testing.assert_allclose(np.diff(recording["cam_time"]), 60 / 500, atol=1.01 / RATE)
+WHEELS = [
+    ('pattern = "36-2-1"', {"tooth_angles_deg": [*range(0, 170, 10), *range(180, 340, 10)]}),
+    ('pattern = "60-2"', {"pulses_per_rev": 60, "missing_teeth": 2}),
+    ('pattern = "120"', {"pulses_per_rev": 120, "missing_teeth": 0}),
+    ("tooth_angles_deg = [0, 10.5, 200]", {"tooth_angles_deg": [0.0, 10.5, 200.0]}),
+    ("", {}),
+]
 
 
-@pytest.mark.slow
-def test_a_wheel_is_stated_one_way_or_left_to_the_pulses(write, read):
-    rows = [
-        ('pattern = "60-2"', {"pulses_per_rev": 60, "missing_teeth": 2}),
-        ('pattern = "120"', {"pulses_per_rev": 120, "missing_teeth": 0}),
-        ("tooth_angles_deg = [0, 10.5, 200]", {"tooth_angles_deg": [0.0, 10.5, 200.0]}),
-        ("", {}),
-    ]
-    for wheel, attrs in rows:
-        tables = CHANNEL + f'[encoder]\nkind = "square"\nsource = "enc"\n{wheel}\n'
-        recording = read(write(acc=TIME, enc=turned(1000, 36)), tables)
+def test_a_wheel_stated_one_way_or_left_to_the_pulses_and_a_cam_mark_reach_the_recording(write, read):
+    for wheel, attrs in WHEELS:
+        encoder = f'[encoder]\nkind = "square"\nsource = "enc"\n{wheel}\ncam = "cam"\ncam_to_tdc_deg = 77\n'
+        recording = read(write(acc=TIME, enc=turned(1000, 36), cam=turned(500, 1)), CHANNEL + encoder)
         keys = ("pulses_per_rev", "missing_teeth", "tooth_angles_deg")
         assert {key: recording.attrs[key] for key in keys if key in recording.attrs} == attrs
+        assert recording.attrs["cam_to_tdc_deg"] == 77.0
+        np.testing.assert_allclose(np.diff(recording["cam_time"]), 60 / 500, atol=1.01 / RATE)
 
 
 def test_times_of_pulses_are_taken_as_they_are(write, read):
@@ -375,9 +353,6 @@ def test_a_sensitivity_needs_the_volts_at_full_scale_of_a_wav(tmp_path, read):
     np.testing.assert_allclose(volts["signal"].values[0], samples / 32768 * 5.0, rtol=1e-6, atol=1e-6)
 
 
-# The manifests of tests/real read the real recordings, and the facts known of them come out.
-
-
 MANIFESTS = Path(__file__).parents[1] / "real"
 FOLDERS = {
     "ansys_accel": "ansys_accel", "rotorbalancer": "rotorbalancer", "rotor_groups": "rotorbalancer",
@@ -388,26 +363,3 @@ FOLDERS = {
 def test_check_finds_no_fault_in_the_real_folders(shared_data, settings):
     for name in FOLDERS:
         assert check_folder(shared_data / FOLDERS[name], MANIFESTS / f"{name}.toml", settings=settings.ingest) == []
-
-
-def test_the_run_up_has_the_speeds_of_its_reference(read_in, shared_data):
-    manifest = load_manifest(shared_data / "ansys_accel", MANIFESTS / "ansys_accel.toml")
-    found = recordings_of(shared_data / "ansys_accel", manifest)
-    (path,) = found.paths
-    assert not found.faults
-    recording = read_in(path, manifest)
-    check_dataset(recording, "recording")
-    assert all(flag["severity"] == "info" for flag in flags_of(recording)), flags_of(recording)
-    table = shared_data / "ansys_accel" / "reference_order_levels_dBSPL_2_4_10_15_30_61.2.txt"
-    speeds = [
-        float(line.split("\t")[0])
-        for line in table.read_text("latin-1").splitlines()
-        if line[:1].isdigit() and "\t" in line
-    ]
-    speed = recording["speed_signal"].values
-    assert speed[0] == pytest.approx(speeds[0], rel=1e-6)
-    assert (round(speed.min()), round(speed.max())) == (969, 4821)
-    assert recording.attrs["rate_hz"] == 44_100.0
-    assert str(recording["unit"].values[0]) == "Pa"
-    # full scale is 1 Pa x 0.99655
-    assert np.abs(recording["signal"]).max() < 0.99655

@@ -13,11 +13,10 @@ from crankorder.quantities import flags_of
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
 from made.command import analysed, crankorder, done
-from made.recordings import write_hdf5
+from made.recordings import manifest, write_hdf5, write_table
 from made.time_bases import WRITERS, Sampled, as_hdf5, as_lvm_of_one_segment, as_tdms
 
 FORMATS = pytest.mark.parametrize("form", WRITERS)
-HEAD = 'schema_version = 1\n[test]\ncycle = "rotor"\n[recordings]\nfiles = ["a.*"]\n'
 
 
 def turns(time_s):
@@ -44,12 +43,11 @@ def speed(rate_hz, seconds, start_s=0.0):
 
 
 def manifest_in(folder, sources, channels, kind):
-    rows = [f'[[channels]]\nname = "{name}"\nsource = "{sources[name]}"\nunit = "m/s2"\n' for name in channels]
     shaft = sources["speed" if kind == "speed" else "tacho"]
-    encoder = f'[encoder]\nsource = "{shaft}"\nkind = "{kind}"\n'
-    if kind != "speed":
-        encoder += f'pulses_per_rev = 1\nindex = "{shaft}"\nindex_to_tdc_deg = 0.0\n'
-    (folder / "run.toml").write_text(HEAD + "".join(rows) + encoder)
+    marks = {} if kind == "speed" else {"pulses_per_rev": 1, "index": shaft, "index_to_tdc_deg": 0.0}
+    encoder = {"source": shaft, "kind": kind, **marks}
+    listed = {name: {"source": sources[name]} for name in channels}
+    (folder / "run.toml").write_text(manifest("a.*", channels=listed, encoder=encoder))
 
 
 def joined(folder, settings, columns, *, channels=("acc",), kind="square", write=as_hdf5, **how):
@@ -160,9 +158,9 @@ def test_a_file_of_two_rates_is_drafted_so_that_it_runs(tmp_path, settings, form
         WRITERS[form](tmp_path / "a", columns)
         (tmp_path / "run.toml").unlink(missing_ok=True)
         (tmp_path / "run.toml").write_text(draft_manifest(tmp_path))
-        manifest = load_manifest(tmp_path)
+        drafted = load_manifest(tmp_path)
         kind = "speed" if shaft.unit == "rpm" or form == "UFF" else "square"
-        assert (len(manifest.channels), manifest.encoder.kind) == (2, kind), (tmp_path / "run.toml").read_text()
+        assert (len(drafted.channels), drafted.encoder.kind) == (2, kind), (tmp_path / "run.toml").read_text()
         assert check_folder(tmp_path, settings=settings.ingest) == []
 
 
@@ -209,15 +207,11 @@ def test_parts_of_a_file_of_several_rates_are_the_whole_of_it(tmp_path, settings
 # Recordings in pieces: a logger that stops for a while and says so, and buffers joined with turns lost between.
 
 
-PIECES = """schema_version = 1
-[test]
-name = "pieces"
-cycle = "rotor"
-[recordings]
-files = ["a.*"]
-"""
-CHANNEL = '[[channels]]\nname = "k"\nsource = "k"\nunit = "m/s2"\n'
-ENCODER = '[encoder]\nkind = "square"\nsource = "tacho"\npulses_per_rev = 1\n'
+def pieces_in(folder, **sampling):
+    """The manifest of recordings in pieces in ``folder``."""
+    encoder = {"kind": "square", "source": "tacho", "pulses_per_rev": 1}
+    text = manifest("a.*", name="pieces", channels={"k": {"source": "k"}}, sampling=sampling, encoder=encoder)
+    (folder / "run.toml").write_text(text)
 
 
 def written(folder, suffix, **columns):
@@ -228,8 +222,7 @@ def written(folder, suffix, **columns):
     elif suffix == "h5":
         write_hdf5(path, columns)
     else:
-        rows = np.stack(list(columns.values()), axis=1)
-        np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+        write_table(path, columns, fmt="%.6f")
     return folder
 
 
@@ -260,7 +253,7 @@ def test_stretches_shorter_than_a_frame_are_refused_with_the_frames_that_would_d
     times = np.arange(20_000)[np.arange(20_000) % 600 < 540] / 1000.0
     signal, tacho = turning(25.0 * times, 1)
     folder = written(tmp_path / "in", "csv", time_s=times, k=signal, tacho=tacho)
-    (folder / "run.toml").write_text(f'{PIECES}[sampling]\ntime_source = "time_s"\n{CHANNEL}{ENCODER}')
+    pieces_in(folder, time_source="time_s")
     refused = crankorder("run", folder, "--out", tmp_path / "out")
     assert refused.exit_code == 4, refused.output
     assert "revs_per_frame = 6" in refused.output and "13.5 between gaps" in refused.output
@@ -272,7 +265,7 @@ def test_stretches_between_gaps_of_parts_of_a_sample_come_at_their_true_times(tm
     times, rpm = polled(3)
     signal, tacho = turning(rpm / 60.0 * times, 3)
     folder = written(tmp_path / "in", suffix, time_s=times, k=signal, tacho=tacho)
-    (folder / "run.toml").write_text(f'{PIECES}[sampling]\ntime_source = "time_s"\n{CHANNEL}{ENCODER}')
+    pieces_in(folder, time_source="time_s")
     found = analysed(folder, tmp_path / "out", "--no-pictures")
     assert seen(found) == pytest.approx({1: 1.0, 2: 0.5, 2.5: 0.4}, rel=0.015)
     assert found["orders"][0]["speed_rpm_at_max"] == pytest.approx(rpm, rel=1e-3)
@@ -302,7 +295,7 @@ def turns_of_buffers(seed, blocks):
 def test_buffers_that_were_joined_are_told_by_shaft_and_channel_and_made_whole(tmp_path, read_in, suffix, blocks):
     signal, tacho = turning(turns_of_buffers(2, blocks), 2)
     folder = written(tmp_path / "in", suffix, k=signal, tacho=tacho)
-    (folder / "run.toml").write_text(f"{PIECES}[sampling]\nrate_hz = 2560.0\n{CHANNEL}{ENCODER}")
+    pieces_in(folder, rate_hz=2560.0)
     found = analysed(folder, tmp_path / "out", "--no-pictures")
     amplitudes = seen(found)
     # which of two turns goes on behind a break is not known
@@ -332,5 +325,5 @@ def test_what_shaft_or_channel_shows_alone_is_no_break(tmp_path, read_in, fault)
     if fault == "tacho alone":
         tacho = np.append(tacho[: at + 60], tacho[at + 20 : -40])
     folder = written(tmp_path, "h5", k=signal, tacho=tacho)
-    (folder / "run.toml").write_text(f"{PIECES}[sampling]\nrate_hz = 2560.0\n{CHANNEL}{ENCODER}")
+    pieces_in(folder, rate_hz=2560.0)
     assert "buffers_joined" not in {one["flag"] for one in flags_of(read_in(folder / "a.h5"))}

@@ -150,18 +150,6 @@ def test_binary_numbers_of_another_machine_are_refused(read):
         read(data.replace(b"     1     2          11", b"     1     3          11"))
 
 
-@pytest.mark.slow
-def test_a_real_pair_of_text_and_binary_holds_the_same_signal(shared_data, limits):
-    folder = shared_data / "formats" / "uff"
-    text, binary = (
-        read_file(folder / f"Sample_UFF58{kind}.uff", sources=[0], settings=limits) for kind in ("_ascii", "b_bin")
-    )
-    assert text.rates_hz[0] == pytest.approx(65536.0, rel=3e-6)
-    assert text.units == {0: "Pa"}
-    np.testing.assert_allclose(text.columns[0], binary.columns[0], rtol=1e-5, atol=1e-9)
-    assert text.columns[0].size == 79292
-
-
 def test_what_the_reference_reader_reads_is_read_the_same(shared_data, limits):
     pyuff = pytest.importorskip("pyuff", reason="pyuff, the reference, is not installed")
     for path in sorted((shared_data / "formats" / "uff").glob("*.uff")):

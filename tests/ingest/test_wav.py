@@ -22,8 +22,12 @@ def read(tmp_path, limits):
     return read_bytes
 
 
+def packed(name, data):
+    return name + struct.pack("<I", len(data)) + data
+
+
 def riff(*chunks):
-    body = b"".join(name + struct.pack("<I", len(data)) + data + b"\0" * (len(data) % 2) for name, data in chunks)
+    body = b"".join(packed(name, data) + b"\0" * (len(data) % 2) for name, data in chunks)
     return b"RIFF" + struct.pack("<I", len(body) + 4) + b"WAVE" + body
 
 
@@ -35,14 +39,14 @@ def layout(code, n_channels, bits, rate=44_100):
 def calibration(*channels):
     chunk = b""
     for number, (full_scale, name, unit, offset, factor) in enumerate(channels):
-        record = (
-            struct.pack("<fH", full_scale, len(name)) + name.encode() + struct.pack("<H", len(unit)) + unit.encode()
-        )
-        record += struct.pack("<ff", offset, factor)
-        chunk += f"le{number:02d}".encode() + struct.pack("<I", len(record)) + record
+        record = struct.pack("<fH", full_scale, len(name)) + name.encode()
+        record += struct.pack("<H", len(unit)) + unit.encode() + struct.pack("<ff", offset, factor)
+        chunk += packed(f"le{number:02d}".encode(), record)
     return b"LEA ", chunk
 
 
+MIC = calibration((1.0, "mic", "Pa", 0.0, 1.0))
+LEA = calibration((1.0, "mic", "Pa", 0.0, 1.0), (2.0, "b", "Pa", 0.0, 1.0))
 STEREO = RNG.integers(-32768, 32767, (1000, 2)).astype("<i2")
 
 
@@ -73,10 +77,10 @@ DATA = (b"data", STEREO.tobytes())
 def test_a_calibration_that_is_not_understood_is_told(read):
     rows = [
         (calibration((1.0, "mic", "Pa", 3.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0)), "offset 3"),
-        (calibration((1.0, "mic", "Pa", 0.0, 1.0)), "for 1 channels, the samples have 2"),
+        (MIC, "for 1 channels, the samples have 2"),
         ((b"LEA ", b"LE01" + bytes(40)), "begins with 'LE01"),
         ((b"LEA ", b""), "begins with ''"),
-        ((b"LEA ", calibration((1.0, "mic", "Pa", 0.0, 1.0))[1][:-3]), "cut short"),
+        ((b"LEA ", MIC[1][:-3]), "cut short"),
         ((b"iXML", b"<BWFXML><SENSITIVITY>49.8 mV/Pa</SENSITIVITY></BWFXML>"), "iXML speaks of a calibration"),
         ((b"LIST", b"INFOICMT" + struct.pack("<I", 24) + b"calibrated at 94 dB SPL\0"), "speaks of a calibration"),
         ((b"cals", "Full-Scale: 10 V".encode("utf-16-le")), "speaks of a calibration"),
@@ -85,7 +89,7 @@ def test_a_calibration_that_is_not_understood_is_told(read):
         for stray in [False, True]:
             content = riff(layout(1, 2, 16), DATA, *([] if stray else [chunk]))
             if stray:  # behind the end that the file declares
-                content += chunk[0] + struct.pack("<I", len(chunk[1])) + chunk[1]
+                content += packed(*chunk)
             raw = read(content, 0)
             if stray and chunk[0] != b"LEA ":
                 continue  # of what stands there a calibration of that family alone is a chunk
@@ -104,11 +108,10 @@ def test_samples_of_a_program_that_streams_are_read_to_the_end(read):
     for riff_bytes in [0, 36, 0xFFFFFFFF, 0x7FFFF024]:
         for data_bytes in [0, 0xFFFFFFFF, 0xFFFFFFDB, 0x7FFFF000]:
             for with_lea in [False, True]:
-                lea = calibration((1.0, "mic", "Pa", 0.0, 1.0), (2.0, "b", "Pa", 0.0, 1.0))
                 content = bytearray(riff(layout(1, 2, 16), DATA))
                 struct.pack_into("<I", content, 4, riff_bytes)
                 struct.pack_into("<I", content, 40, data_bytes)
-                content += (lea[0] + struct.pack("<I", len(lea[1])) + lea[1]) * with_lea
+                content += packed(*LEA) * with_lea
                 raw = read(content, 1)
                 np.testing.assert_allclose(raw.columns[1], STEREO[:, 1] / 32768 * (2.0 if with_lea else 1.0), rtol=1e-6)
                 assert raw.units[1] == ("Pa" if with_lea else "FS")
@@ -122,9 +125,8 @@ def test_samples_of_a_program_that_streams_are_read_to_the_end(read):
 def test_lengths_of_64_bits_are_read(tmp_path, limits, read):
     for name in [b"RF64", b"BW64"]:
         for cut in [0, 100, 2400]:
-            lea = calibration((1.0, "mic", "Pa", 0.0, 1.0), (2.0, "b", "Pa", 0.0, 1.0))
-            ds64 = struct.pack("<QQQI", 0, len(DATA[1]), 1000, 1) + struct.pack("<4sQ", b"LEA ", len(lea[1]))
-            content = bytearray(riff((b"ds64", ds64), layout(1, 2, 16), lea, DATA))
+            ds64 = struct.pack("<QQQI", 0, len(DATA[1]), 1000, 1) + struct.pack("<4sQ", b"LEA ", len(LEA[1]))
+            content = bytearray(riff((b"ds64", ds64), layout(1, 2, 16), LEA, DATA))
             content[:8] = name + b"\xff" * 4
             for chunk in (b"data", b"LEA "):
                 struct.pack_into("<I", content, content.rindex(chunk) + 4, 0xFFFFFFFF)
@@ -168,8 +170,7 @@ def test_millions_of_chunks_are_refused_at_once(tmp_path, limits, refused_s):
 
 
 def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(read):
-    lea = calibration((1.0, "a", "Pa", 0.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0))
-    content = riff(layout(1, 2, 16), DATA, lea)
+    content = riff(layout(1, 2, 16), DATA, LEA)
     for length in sorted({0, 1, 8, len(content) // 2, len(content) - 1, *range(2, len(content), 97)}):
         try:
             raw = read(content[:length], 0)
@@ -183,7 +184,7 @@ def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(read):
 
 def test_a_lost_calibration_is_not_taken_for_none(read):
     data = riff(layout(1, 2, 16), DATA)
-    whole = riff(layout(1, 2, 16), DATA, calibration((1.0, "a", "Pa", 0.0, 1.0)))
+    whole = riff(layout(1, 2, 16), DATA, MIC)
     with pytest.raises(InputError, match=f"truncated after the samples: {len(data)} of {len(whole)} bytes"):
         read(whole[: len(data)], 0)
 
@@ -215,10 +216,7 @@ def test_scipy_agrees_on_real_files_of_all_sample_formats(shared_data, limits):
 
 def as_its_makers_write(samples, odd, lea, *, beyond):
     """A file with an odd chunk that nothing fills up, and its calibration behind the samples or behind its own end."""
-    note = b"NOTE" + struct.pack("<I", len(odd)) + odd
-    head, chunk = layout(1, 2, 16)
-    body = b"".join(name + struct.pack("<I", len(data)) + data for name, data in ((head, chunk), (b"data", samples)))
-    tail = note + lea[0] + struct.pack("<I", len(lea[1])) + lea[1]
+    body, tail = packed(*layout(1, 2, 16)) + packed(b"data", samples), packed(b"NOTE", odd) + packed(*lea)
     inside = len(body) + (0 if beyond else len(tail))
     return b"RIFF" + struct.pack("<I", inside + 4) + b"WAVE" + body + tail
 

@@ -45,6 +45,13 @@ def write_hdf5(path: Path, columns: Mapping[str, np.ndarray], *, unit: object = 
     return path
 
 
+def write_table(path: Path, columns: Mapping[str, np.ndarray], *, separator: str = ",", fmt: str = "%.9g") -> Path:
+    """Text table of ``columns`` by name."""
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, delimiter=separator, header=separator.join(columns), comments="", fmt=fmt)
+    return path
+
+
 def named(
     channels: int | Sequence[str], unit: str = "m/s2", quantity: str = "acceleration"
 ) -> dict[str, tuple[str, list[str], dict[str, str]]]:

@@ -39,7 +39,7 @@ from crankorder.errors import (
 )
 from crankorder.findings import Findings, quality_of
 from crankorder.identify.machine_model import Limit, MachineModel, StatedPart, cycle_doubts
-from crankorder.ingest import channel_faults
+from crankorder.ingest import signal_faults
 from crankorder.ingest.manifest import Manifest, manifest_head, manifest_of
 from crankorder.quantities import QualityFlag, check_dataset, remark
 from crankorder.settings import Settings, load_settings, toml_table
@@ -459,7 +459,7 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
 def load_kernels() -> None:
     """Load what numba needs before its first kernel runs: a third of a second, once and not in every worker."""
     trace = np.repeat(np.tile(np.array([0.0, 5.0], dtype=np.float32), 8), 4)
-    channel_faults.survey(trace, size=16)
+    signal_faults.survey(trace, size=16)
     shaft = load_settings().shaft
     pulses.find_pulses(trace, rate_hz=1.0, kind="square", edge="rising", pulses_per_rev=1, settings=shaft)
 

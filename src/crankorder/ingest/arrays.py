@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -35,17 +34,11 @@ def columns_of(signals: Signals) -> dict[str, NDArray[Any]]:
     where they are none of these.
     """
     if is_timeseries(signals):
-        names = [str(series["name"]) for series in signals]
-        if len(set(names)) < len(names):
-            raise RequestError("two channels have one name", file=CALL, place="signals", found=", ".join(names))
-        return {name: column(series["data"], name) for name, series in zip(names, signals, strict=True)}
+        return _by_name((series["name"], series["data"]) for series in signals)
     if isinstance(signals, xr.DataArray):
         return _of_data_array(signals)
     if hasattr(signals, "items") and hasattr(signals, "keys") and not hasattr(signals, "to_frame"):
-        columns = {str(key): column(row, str(key)) for key, row in signals.items()}
-        if not columns:
-            raise RequestError("no channel is given", file=CALL, place="signals")
-        return columns
+        return _by_name(signals.items())
     allowed = "(samples,) or (channels, samples)"
     try:
         rows = np.atleast_2d(signals if isinstance(signals, np.ma.MaskedArray) else np.asarray(signals))
@@ -56,8 +49,18 @@ def columns_of(signals: Signals) -> dict[str, NDArray[Any]]:
     if len(rows) > rows.shape[1]:
         remedy = "Give signals.T where each column is a channel"
         raise RequestError("more channels than samples", file=CALL, found=rows.shape, allowed=allowed, remedy=remedy)
-    names = ["signal"] if len(rows) == 1 else [f"signal {place + 1}" for place in range(len(rows))]
-    return {name: column(row, name) for name, row in zip(names, rows, strict=True)}
+    return _by_name((f"signal {place + 1}" if len(rows) > 1 else "signal", row) for place, row in enumerate(rows))
+
+
+def _by_name(named: Iterable[tuple[object, ArrayLike]]) -> dict[str, NDArray[Any]]:
+    """Copies of the rows by their names, which must differ, of ``named`` (name, row)."""
+    rows = [(str(name), row) for name, row in named]
+    if not rows:
+        raise RequestError("no channel is given", file=CALL, place="signals")
+    names = [name for name, _ in rows]
+    if len(set(names)) < len(names):
+        raise RequestError("two channels have one name", file=CALL, place="signals", found=", ".join(names))
+    return {name: column(row, name) for name, row in rows}
 
 
 def is_timeseries(signals: Any) -> TypeGuard[Sequence[Mapping[str, Any]]]:
@@ -104,14 +107,12 @@ def told_by_timeseries(
 def _of_data_array(signals: xr.DataArray) -> dict[str, NDArray[Any]]:
     """Channels of a DataArray by the names of its coordinate ``channel``, else by its own name."""
     if signals.ndim == 1:
-        name = str(signals.name or "signal")
-        return {name: column(signals.values, name)}
+        return _by_name([(signals.name or "signal", signals.values)])
     if "channel" not in signals.dims or signals.ndim != 2:
         allowed = "one dimension, or two with one that is called channel"
         raise RequestError("the signals have the wrong dimensions", file=CALL, found=signals.dims, allowed=allowed)
     rows = signals.transpose("channel", ...)
-    names = [str(name) for name in rows["channel"].values]
-    return {name: column(row, name) for name, row in zip(names, rows.values, strict=True)}
+    return _by_name(zip(rows["channel"].values, rows.values, strict=True))
 
 
 def column(values: ArrayLike, name: str) -> NDArray[Any]:
@@ -133,11 +134,8 @@ def units_of(unit: str | Mapping[str, str], names: list[str]) -> dict[str, str]:
     if not isinstance(unit, Mapping):
         raise RequestError("must be a unit, or units by channel", file=CALL, place="unit", found=repr(unit))
     if set(unit) != set(names):
-        problem, found, allowed = (
-            "each channel has a unit, and nothing else",
-            ", ".join(map(str, unit)),
-            ", ".join(names),
-        )
+        found, allowed = ", ".join(map(str, unit)), ", ".join(names)
+        problem = "each channel has a unit, and nothing else"
         raise RequestError(problem, file=CALL, place="unit", found=found, allowed=allowed)
     return {name: str(unit[name]) for name in names}
 
@@ -155,10 +153,7 @@ def number(value: Any, name: str) -> float:
 
 def count(value: Any, name: str) -> int:
     """``value`` of the argument ``name`` as a whole number, whatever type holds it."""
-    try:
-        return operator.index(value)
-    except TypeError:
-        whole = number(value, name)
+    whole = number(value, name)
     if whole != round(whole):
         raise RequestError("must be a whole number", file=CALL, place=name, found=repr(value))
     return round(whole)

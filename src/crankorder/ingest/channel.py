@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -191,37 +191,28 @@ _UNIT_OF_RESULT = (
 )
 
 
-def channel_faults(channel: Channel, place: str) -> list[RequestError]:
+def channel_faults(channel: Channel, place: str) -> Iterator[RequestError]:
     """What is wrong with the units of ``channel``, at ``place`` in the manifest."""
-    faults: list[RequestError] = []
-    unit = channel.analysed_unit
-    expected = unit
+    unit, source, output = channel.analysed_unit, channel.stated_source_unit, None
     if channel.sensitivity is not None:
-        sensitivity = parse_sensitivity(channel.sensitivity)
-        expected = sensitivity.output
-        if not channel.integrals_from(sensitivity.measured):
-            faults += _unit_clash(sensitivity.measured, unit, f"{place}.sensitivity")
-    elif channel.stated_source_unit is not None:
-        expected = channel.stated_source_unit
-        if not channel.integrals_from(expected):
-            faults += _unit_clash(expected, unit, f"{place}.measured_unit")
+        output = parse_sensitivity(channel.sensitivity).output
+    if source is not None and not channel.integrals_from(source):
+        yield from _unit_clash(source, unit, f"{place}.{'measured_unit' if output is None else 'sensitivity'}")
     if channel.offset is not None:
-        faults += _unit_clash(parse_quantity(channel.offset)[1], expected, f"{place}.offset")
+        yield from _unit_clash(parse_quantity(channel.offset)[1], output or source or unit, f"{place}.offset")
     known = ("acceleration", "velocity", "displacement", "pressure", "force", "torque", "voltage")
     stated = next((quantity for quantity in known if channel.quantity.casefold().endswith(quantity)), unit.quantity)
     if stated != unit.quantity:
         problem = f"quantity and unit disagree: {unit.name} is a unit of {unit.quantity}"
         remedy = _UNIT_OF_RESULT if stated in DERIVATIVE and unit.quantity in DERIVATIVE else ""
-        faults.append(RequestError(problem, place=f"{place}.quantity", found=channel.quantity, remedy=remedy))
-    return faults
+        yield RequestError(problem, place=f"{place}.quantity", found=channel.quantity, remedy=remedy)
 
 
-def _unit_clash(source: Unit, target: Unit, place: str) -> list[RequestError]:
+def _unit_clash(source: Unit, target: Unit, place: str) -> Iterator[RequestError]:
     try:
         conversion_factor(source, target)
     except RequestError as error:
-        return [RequestError(error.problem, place=place, remedy=error.remedy)]
-    return []
+        yield RequestError(error.problem, place=place, remedy=error.remedy)
 
 
 _GRADE = re.compile(r"\s*G?\s*([0-9]{1,6}(?:\.[0-9]{0,6})?)\s*", re.IGNORECASE)
@@ -332,41 +323,35 @@ def check_bands(limits: tuple[Limit, ...], rate_hz: float, path: Path) -> None:
 
 def limit_faults(
     limits: tuple[Limit, ...], channels: Mapping[str, Channel], rotor: Rotor | None, rate_hz: float | None
-) -> list[RequestError]:
+) -> Iterator[RequestError]:
     """What is wrong with ``limits`` beside the ``channels`` by name, the ``rotor`` and the stated rate ``rate_hz``."""
-    faults: list[RequestError] = []
     for number, limit in enumerate(limits):
         place, wanted = f"limits.{number}", "velocity" if limit.quantity == "balance grade" else limit.quantity
-        unit = parse_quantity(limit.value)[1]
-        if unit.quantity != wanted:
-            problem = f"a limit of {wanted} needs a unit of it"
-            allowed = f"such as {_SUCH_AS[limit.quantity]}"
-            faults.append(RequestError(problem, place=f"{place}.value", found=limit.value, allowed=allowed))
-        faults += _band_faults(limit, f"{place}.band_hz", rate_hz)
+        if parse_quantity(limit.value)[1].quantity != wanted:
+            problem, allowed = f"a limit of {wanted} needs a unit of it", f"such as {_SUCH_AS[limit.quantity]}"
+            yield RequestError(problem, place=f"{place}.value", found=limit.value, allowed=allowed)
+        yield from _band_faults(limit, f"{place}.band_hz", rate_hz)
         for name in limit.channels:
             if name not in channels:
                 allowed = ", ".join(channels)
-                faults.append(RequestError("no such channel", place=f"{place}.channels", found=name, allowed=allowed))
-            elif limit.of_vibration and channels[name].analysed_unit.quantity not in DERIVATIVE:
-                measured = channels[name].analysed_unit.quantity
+                yield RequestError("no such channel", place=f"{place}.channels", found=name, allowed=allowed)
+            elif limit.of_vibration and (measured := channels[name].analysed_unit.quantity) not in DERIVATIVE:
                 problem = f"{name} measures {measured}, of which no {limit.quantity} follows"
-                faults.append(RequestError(problem, place=f"{place}.channels", found=name))
-    if rotor is None and any(not limit.of_vibration for limit in limits):
+                yield RequestError(problem, place=f"{place}.channels", found=name)
+    if rotor is None and not all(limit.of_vibration for limit in limits):
         problem = "a balance grade needs the mass of the rotor"
-        faults.append(RequestError(problem, place="limits", remedy="Add [rotor] with mass_kg"))
-    return faults
+        yield RequestError(problem, place="limits", remedy="Add [rotor] with mass_kg")
 
 
-def _band_faults(limit: Limit, place: str, rate_hz: float | None) -> list[RequestError]:
+def _band_faults(limit: Limit, place: str, rate_hz: float | None) -> Iterator[RequestError]:
     (low_hz, high_hz), least = limit.band_hz, BANDS.narrowest_ratio
     found = f"{low_hz:.9g} to {high_hz:.9g} Hz"
     if low_hz >= high_hz:
-        return [RequestError("the lower end comes first", place=place, found=found)]
-    if high_hz < least * low_hz:
+        yield RequestError("the lower end comes first", place=place, found=found)
+    elif high_hz < least * low_hz:
         problem = "too narrow a band for a level: the ends of a band are no walls, and would be all of it"
         allowed = f"a high end of {least * low_hz:.4g} Hz or more, {least:g} times the low one"
         remedy = "Widen it; the size of a single line stands among the orders and tones"
-        return [RequestError(problem, place=place, found=found, allowed=allowed, remedy=remedy)]
-    if rate_hz is not None and (problem := limit.above_rate(rate_hz)):
-        return [RequestError(problem, place=place, found=found, allowed=f"up to {0.5 * rate_hz:.4g} Hz")]
-    return []
+        yield RequestError(problem, place=place, found=found, allowed=allowed, remedy=remedy)
+    elif rate_hz is not None and (problem := limit.above_rate(rate_hz)):
+        yield RequestError(problem, place=place, found=found, allowed=f"up to {0.5 * rate_hz:.4g} Hz")

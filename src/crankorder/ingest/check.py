@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from crankorder.errors import MOST_TOLD, CrankorderError, InputError, ManyErrors, RequestError
+from crankorder.ingest.channel import file_to_analysed
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS
+from crankorder.ingest.folder import check_regular, checksum_faults, collected, recordings_of
 from crankorder.ingest.manifest import MANIFEST_NAME, Manifest, load_manifest
 from crankorder.settings import IngestSettings
 
@@ -22,13 +22,7 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
     if faults := manifest_faults(folder, manifest_path):
         return faults
     manifest = load_manifest(folder, manifest_path)
-    # only a right manifest is worth the time of the heavy imports below
-    from crankorder.ingest.folder import checksum_faults, recordings_of
-
-    try:
-        recordings = recordings_of(folder, manifest)
-    except CrankorderError as error:
-        return [error]
+    recordings = recordings_of(folder, manifest)
     faults = list(recordings.faults)
     if manifest.sampling.domain == "time" and manifest.encoder.kind == "none" and manifest.test.cycle != "none":
         problem, file = "nothing tells the speed", manifest_path or folder / MANIFEST_NAME
@@ -47,8 +41,6 @@ def manifest_faults(folder: Path, manifest_path: Path | None = None) -> list[Cra
 
     Of a right manifest those of the files that it names, where none of them is there to be looked into.
     """
-    from crankorder.ingest.folder import recordings_of
-
     try:
         recordings = recordings_of(folder, load_manifest(folder, manifest_path))
     except ManyErrors as error:
@@ -63,62 +55,46 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
 
     ``settings`` limit what is opened.
     """
+    # heavy: only a right manifest is worth their time
     from crankorder.ingest.formats import contents_of
     from crankorder.ingest.rawfile import Contents, named
     from crankorder.ingest.sampling import agreed_rate, bases_of, length_faults
 
+    faults: list[CrankorderError] = []
     try:
         contents: Contents = contents_of(path, settings=settings)
     except CrankorderError as error:
         return [error]
-    faults = _pulse_file_faults(path, manifest, settings=settings)
+    pulses, encoder = manifest.pulses_of(path), manifest.encoder
+    if pulses is not None:
+        with collected(faults):
+            check_regular(pulses, path.parent)
+            listed = contents_of(pulses, settings=settings).names
+            told = (encoder.source, encoder.index, encoder.cam, encoder.time_source)
+            for source in (source for source in told if source is not None):
+                with collected(faults):
+                    named(source, listed, pulses)
     names: dict[str, str] = {}
     for number, (role, source) in enumerate(roles := _roles(manifest).items()):
         if len(faults) >= MOST_TOLD:
             problem = f"{len(roles) - number} more of the channels that the manifest names were not looked at"
             return [*faults, InputError(problem, file=path, remedy="Mend these first")]
-        try:
+        with collected(faults):
             names[role] = named(source, contents.names, path)
-        except CrankorderError as error:
-            faults.append(error)
-    faults += _unit_faults(path, manifest, names, dict(contents.units))
+    for channel in manifest.channels:
+        with collected(faults):
+            if channel.name in names:
+                file_to_analysed(channel, contents.units.get(names[channel.name], ""), path)
     sampled = {role: names[role] for role in manifest.sampled if role in names}
     timed = contents if manifest.sampling.domain == "time" else Contents(contents.format, contents.names)
     n_channels = sum(channel.name in sampled for channel in manifest.channels)
     bases, file_hz = bases_of(sampled, contents.samples, timed, n_channels, tolerance=settings.rate_tolerance)
     faults += length_faults(bases, path)
     if manifest.sampling.domain == "time" and manifest.sampling.time_source is None and manifest.has_samples:
-        rate = partial(agreed_rate, file_hz=file_hz, times=None, manifest_hz=manifest.sampling.rate_hz, path=path)
-        faults += _raised_by(partial(rate, settings=settings, file_uncertainty=contents.rate_uncertainty))
+        with collected(faults):
+            rates = {"manifest": (manifest.sampling.rate_hz, 0.0), "file": (file_hz, contents.rate_uncertainty)}
+            agreed_rate(rates, path, settings=settings)
     return faults
-
-
-def _raised_by(look: Callable[[], object]) -> list[CrankorderError]:
-    """The fault that ``look`` raises; an empty list where it raises none."""
-    try:
-        look()
-    except CrankorderError as error:
-        return [error]
-    return []
-
-
-def _pulse_file_faults(path: Path, manifest: Manifest, *, settings: IngestSettings) -> list[CrankorderError]:
-    """Faults of the file that lists the pulses of the recording at ``path``, where it has one of its own."""
-    from crankorder.ingest.folder import check_regular
-    from crankorder.ingest.formats import contents_of
-    from crankorder.ingest.rawfile import named
-
-    encoder, pulses = manifest.encoder, manifest.pulses_of(path)
-    if pulses is None:
-        return []
-    try:
-        check_regular(pulses, path.parent)
-        names = contents_of(pulses, settings=settings).names
-    except CrankorderError as error:
-        return [error]
-    sources = (encoder.source, encoder.index, encoder.cam, encoder.time_source)
-    looks = [partial(named, source, names, pulses) for source in sources if source is not None]
-    return [fault for look in looks for fault in _raised_by(look)]
 
 
 def _roles(manifest: Manifest) -> dict[str, str | int]:
@@ -132,11 +108,3 @@ def _roles(manifest: Manifest) -> dict[str, str | int]:
     if manifest.sampling.domain == "time":
         roles["the time"] = manifest.sampling.time_source
     return {role: source for role, source in roles.items() if source is not None}
-
-
-def _unit_faults(path: Path, manifest: Manifest, names: dict[str, str], units: dict[str, str]) -> list[CrankorderError]:
-    from crankorder.ingest.channel import file_to_analysed
-
-    known = [(channel, units.get(names[channel.name], "")) for channel in manifest.channels if channel.name in names]
-    looks = [partial(file_to_analysed, channel, unit, path) for channel, unit in known]
-    return [fault for look in looks for fault in _raised_by(look)]

@@ -8,31 +8,21 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestError, printable
+from crankorder.ingest.encoder_table import POSITION_KINDS
 from crankorder.ingest.folder import is_companion, is_leftover, natural_key
 from crankorder.ingest.formats import FORMATS, contents_of, read_file
-from crankorder.ingest.manifest import MANIFEST_NAME
-from crankorder.ingest.rawfile import Contents, RawFile, Source, listed
-from crankorder.ingest.roles import (
-    MOST_SAMPLES,
-    Column,
-    Columns,
-    PulseFiles,
-    Role,
-    columns_of,
-    is_square,
-    lists_edges,
-    pulse_files,
-)
-from crankorder.ingest.sampling import read_time_column, rows_before_zeros
+from crankorder.ingest.manifest import MANIFEST_NAME, manifest_head, manifest_of
+from crankorder.ingest.rawfile import Contents, Source, listed
+from crankorder.ingest.recording import recording_of
+from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, PulseFiles, Role, angle_step, columns_of, pulse_files
 from crankorder.quantities import Floats
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
-from crankorder.shaft.pulses import COUNTER_BITS, find_pulses
+from crankorder.shaft.pulses import COUNTER_BITS
 from crankorder.shaft.speeds import speed_in_name
 from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
@@ -61,8 +51,6 @@ _COMMON_PULSES = (
     240, 250, 256, 300, 360, 400, 500, 512, 600, 720, 900, 1000, 1024, 1200, 1250, 1440, 1500, 1800, 2000, 2048, 2500,
     3600, 4096,
 )  # fmt: skip
-# of the samples, from which a trace is mostly high
-_MOSTLY = 0.8
 # of the counts after which a count starts anew, as far as those that were seen may lie off
 _SAME_COUNT = 0.005
 # of a speed that a name states, as far as the true one may lie off
@@ -70,42 +58,53 @@ _NOMINAL = 0.03
 
 
 @dataclass(frozen=True)
-class EncoderGuess:
-    """Kind and edge of an encoder as its values look, the wheel that was found, if any, and its pulses per second."""
+class Wheel:
+    """What the pulses of an encoder show: the edge that tells most, the wheel or None, pulses and marks per second."""
 
-    kind: str
     edge: str
     found: FoundPattern | None
     pulses_hz: float
+    marks_hz: float
 
 
-def encoder_guess(
-    path: Path, source: Source, *, index: Source | None, time: Source | None, rate_hz: float | None
-) -> EncoderGuess | None:
-    """What the encoder of a recording seems to be, or None where it cannot be read as one.
+def wheel_of(columns: Columns, contents: Contents, path: Path) -> Wheel | None:
+    """What the encoder among ``columns`` of the recording at ``path`` shows, decoded as a run would decode it.
 
-    Parameters
-    ----------
-    path : the recording
-    source : its encoder column
-    index : its column of a once-per-revolution mark, or None
-    time : its column of times, or None
-    rate_hz : samples per second that the file states, or None
+    ``contents`` are those of the file. None where nothing is an encoder, or its pulses cannot be decoded. A mark that
+    was told by the number of its edges counts only where the pulses alone show no wheel.
     """
-    settings = load_settings()
+    encoder, mark, time = (columns.of(role) for role in ("encoder", "index", "time"))
+    if encoder is None or not encoder.kind or encoder.kind in POSITION_KINDS:
+        return None
+    table = {"source": encoder.source, "kind": encoder.kind} | ({} if mark is None else {"index": mark.source})
+    stated = {"time_source": time.source} if time is not None else {"rate_hz": _NOMINAL_HZ}
+    stated = {} if time is None and encoder.name in contents.rates_hz else stated
+    told: list[Wheel] = []
     try:
-        sources = [name for name in (source, index, time) if name is not None]
-        raw = read_file(path, sources=list(sources), settings=settings.ingest)
-        kind, first, by_edge = _edges(raw, source, time, rate_hz, path)
-        marks = _edges(raw, index, time, rate_hz, path)[2] if index is not None else {}
+        sources = [column.source for column in (encoder, mark, time) if column is not None]
+        raw = read_file(path, sources=sources, settings=load_settings().ingest)
+        raw = replace(raw, columns={source: column[:MOST_SAMPLES] for source, column in raw.columns.items()})
+        for edge in ("rising", "falling"):
+            head = manifest_head(path.name, "rotor", ())
+            manifest = manifest_of(head | {"sampling": stated, "encoder": table | {"edge": edge}}, path)
+            recording = recording_of(raw, path, manifest, settings=load_settings().ingest, shaft=load_settings().shaft)
+            gaps_s = np.atleast_1d(recording.attrs.get("gap_starts_s", ()))
+            # a gap hides pulses, again and again: between gaps the wheel shows itself
+            pulse_s = recording["pulse_time"].values
+            pulse_s = max(np.split(pulse_s, np.searchsorted(pulse_s, gaps_s)), key=len)
+            mark_s = recording["index_time"].values if mark is not None else np.empty(0)
+            found = find_pattern(pulse_s, index_time_s=None if mark is None or mark.doubt else mark_s)
+            found = found or (find_pattern(pulse_s, index_time_s=mark_s) if mark is not None else None)
+            told.append(Wheel(edge, found, _per_second(pulse_s), _per_second(mark_s)))
     except (CrankorderError, OSError, ValueError):
         return None
-    mark_s = next(iter(marks.values()), None)
-    wheels = {edge: find_pattern(time_s, index_time_s=mark_s) for edge, time_s in by_edge.items()}
-    best = max(wheels, key=lambda edge: (_likely(wheels[edge]), edge == first))
-    time_s = by_edge[best]
-    pulses_hz = (time_s.size - 1) / float(np.ptp(time_s)) if time_s.size > 2 and np.ptp(time_s) > 0.0 else 0.0
-    return EncoderGuess(kind, best, wheels[best], pulses_hz)
+    short_dips = encoder.is_mostly_high and encoder.kind in ("square", "analogue")  # they begin where they fall
+    first = "falling" if short_dips else "rising"
+    return max(told, key=lambda wheel: (_likely(wheel.found), wheel.edge == first))
+
+
+def _per_second(time_s: Floats) -> float:
+    return (time_s.size - 1) / float(np.ptp(time_s)) if time_s.size > 2 and np.ptp(time_s) > 0.0 else 0.0
 
 
 def _likely(found: FoundPattern | None) -> tuple[int, float]:
@@ -114,41 +113,6 @@ def _likely(found: FoundPattern | None) -> tuple[int, float]:
         return 0, 0.0
     known = found.pattern.even is not None or found.pattern.name in known_names()
     return 2 if known else 1, found.agreement
-
-
-def _edges(
-    raw: RawFile, source: Source, time: Source | None, rate_hz: float | None, path: Path
-) -> tuple[str, str, dict[str, Floats]]:
-    """Kind of a column, the edge to prefer, and the pulse times of each edge, of samples in the longest stretch."""
-    values = raw.columns[source][:MOST_SAMPLES].astype(np.float64)
-    if values.size > 3 and np.isfinite(values).all() and (np.diff(values) >= 0.0).all() and np.ptp(values) > 0.0:
-        return "pulse_times", "rising", {"rising": values}
-    times = None if time is None else raw.columns[time][:MOST_SAMPLES].astype(np.float64)
-    if times is not None and times.size == values.size:
-        rows = rows_before_zeros(times)
-        times, values = times[:rows], values[:rows]
-    if times is not None and lists_edges(
-        times, [raw.columns[name][: times.size] for name in raw.columns if name != time]
-    ):
-        high = values > 0.5 * (values.min() + values.max())
-        turns = {"rising": high[1:] & ~high[:-1], "falling": ~high[1:] & high[:-1]}
-        return "edge_list", "rising", {edge: times[1:][turned] for edge, turned in turns.items()}
-    rate_hz, start_s = raw.rates_hz.get(source, rate_hz), raw.starts_s.get(source, 0.0)
-    if times is not None:
-        timed = read_time_column(times, path, settings=load_settings().ingest)
-        rate_hz, start_s = timed.rate_hz, 0.0
-        if timed.places is not None:  # a gap hides pulses, again and again: between gaps the wheel shows itself
-            values = max(np.split(values, np.flatnonzero(np.diff(timed.places) != 1) + 1), key=len)
-    kind: Literal["square", "analogue"] = "square" if is_square(values) else "analogue"
-    edges: tuple[Literal["rising", "falling"], ...] = ("rising", "falling")
-    shaft, by_edge = load_settings().shaft, dict[str, Floats]()
-    for edge in edges:
-        pulses = find_pulses(
-            values, rate_hz=rate_hz or _NOMINAL_HZ, kind=kind, edge=edge, pulses_per_rev=1, settings=shaft
-        )
-        by_edge[edge] = start_s + pulses.time_s
-    # short dips begin where they fall
-    return kind, "falling" if np.mean(values > 0.5 * (values.min() + values.max())) > _MOSTLY else "rising", by_edge
 
 
 def draft_manifest(folder: Path) -> str:
@@ -165,11 +129,14 @@ def draft_manifest(folder: Path) -> str:
     columns = replace(columns, all=tuple(replace(column, source=_source(column, files)) for column in columns.all))
     speeds = _speeds(group)
     if pulses is None:
-        columns = _marks_by_wheel(columns, contents, path)
-        encoder, knows_shaft = _encoder(columns, contents, path, speeds)
+        wheel = wheel_of(columns, contents, path)
+        columns = _marks_by_wheel(columns, wheel)
+        if columns.of("encoder") is None and (mark := columns.of("index")) is not None:
+            wheel = wheel_of(Columns((mark.used_as("encoder"), *columns.all)), contents, path)
+        encoder, knows_shaft = _encoder(columns, wheel, speeds, speeds.get(path.name))
     else:
         beside = tuple(
-            replace(column, role="unused", doubt="the pulses stand in files of their own")
+            column.used_as("unused", "the pulses stand in files of their own")
             if column.role in ("encoder", "index", "cam")
             else column
             for column in columns.all
@@ -329,9 +296,9 @@ def _cycle(columns: Columns, path: Path, *, knows_shaft: bool) -> list[str]:
 def _sampling(columns: Columns, contents: Contents) -> list[str]:
     angle, time = columns.of("angle"), columns.of("time")
     lines = ["[sampling]"]
-    if angle is not None:
-        lines += ['domain = "crank_angle"', f"samples_per_rev = {round(360.0 / angle.step)}"]
-        lines += [f"start_deg = {angle.first:.9g}"] if angle.first else []
+    if angle is not None and (step_deg := angle_step(angle.values)):
+        lines += ['domain = "crank_angle"', f"samples_per_rev = {round(360.0 / step_deg)}"]
+        lines += [f"start_deg = {angle.values[0]:.9g}"] if angle.values[0] else []
     elif time is not None:
         lines.append(_asked(f"time_source = {_shown(time.source)}", time.doubt if isinstance(time.source, int) else ""))
     elif not contents.rates_hz and columns.channels():
@@ -373,23 +340,26 @@ def _unit(column: Column, *, first: bool) -> list[str]:
 
 
 def _encoder(
-    columns: Columns, contents: Contents, path: Path, speeds: Mapping[str, tuple[float, str]]
+    columns: Columns, wheel: Wheel | None, speeds: Mapping[str, object], stated: tuple[float, str] | None
 ) -> tuple[list[str], bool]:
-    """Lines of the encoder, and whether anything tells the speed or the angle of a shaft."""
-    encoder, index, cam = (columns.of(role) for role in ("encoder", "index", "cam"))
+    """Lines of the encoder, whose pulses show a ``wheel``, and whether anything tells the speed or angle of a shaft.
+
+    ``stated`` is the speed of the recording, one of the ``speeds`` of all, where they have one.
+    """
+    encoder, index, speed, constant = (columns.of(role) for role in ("encoder", "index", "speed", "constant"))
     if columns.of("angle") is not None:
         return (["[encoder]", 'kind = "constant"'] if speeds else []), True
-    if encoder is None and index is not None:
-        told = _wheel(replace(columns, all=(replace(index, role="encoder"), *columns.all)), contents, path, {})
-        lines = [line for line in told if line.startswith(("kind", "edge"))]
-        return ["[encoder]", f"source = {_shown(index.source)}", *lines, "pulses_per_rev = 1"], True
     if encoder is not None:
-        source, index_mark, cam_mark = (
-            [_asked(f"{key} = {_shown(column.source)}", column.doubt)] if column is not None else []
-            for key, column in (("source", encoder), ("index", index), ("cam", cam))
+        source, *marks = (
+            _asked(f"{key} = {_shown(column.source)}", column.doubt)
+            for key, column in (("source", encoder), ("index", index), ("cam", columns.of("cam")))
+            if column is not None
         )
-        return ["[encoder]", *source, *_wheel(columns, contents, path, speeds), *index_mark, *cam_mark], True
-    speed, constant = columns.of("speed"), columns.of("constant")
+        told = _position(encoder) if encoder.kind in POSITION_KINDS else _wheel(encoder, wheel, stated)
+        return ["[encoder]", source, *told, *marks], True
+    if index is not None:
+        source = f"source = {_shown(index.source)}"
+        return ["[encoder]", source, *_kind(index, wheel), "pulses_per_rev = 1"], True
     if speed is not None:
         return ["[encoder]", f"source = {_shown(speed.source)}", 'kind = "speed"'], True
     if constant is not None:
@@ -418,21 +388,14 @@ def _pulse_file(pulses: PulseFiles, stated: tuple[float, str] | None) -> list[st
     ]
 
 
-def _marks_by_wheel(columns: Columns, contents: Contents, path: Path) -> Columns:
-    """``columns`` with a mark that was told by its edges as index or cam mark, where the wheel itself tells a turn."""
-    encoder, mark, time = (columns.of(role) for role in ("encoder", "index", "time"))
-    if encoder is None or mark is None or not mark.doubt:
+def _marks_by_wheel(columns: Columns, wheel: Wheel | None) -> Columns:
+    """``columns`` with a mark that its edges told as index or cam mark, where the ``wheel`` itself tells a turn."""
+    mark = columns.of("index")
+    if mark is None or not mark.doubt or wheel is None or wheel.found is None or not wheel.pulses_hz > 0.0:
         return columns
-    sources = {"time": None if time is None else time.source, "index": None}
-    wheel, marks = (
-        encoder_guess(path, column.source, rate_hz=contents.rates_hz.get(column.name), **sources)
-        for column in (encoder, mark)
-    )
-    if wheel is None or marks is None or wheel.found is None or not wheel.pulses_hz > 0.0:
-        return columns
-    per_rev = marks.pulses_hz / (wheel.pulses_hz / len(wheel.found.pattern.angles_deg))
+    per_rev = wheel.marks_hz / (wheel.pulses_hz / len(wheel.found.pattern.angles_deg))
     role: Role = "index" if abs(per_rev - 1.0) < 0.1 else "cam" if abs(per_rev - 0.5) < 0.1 else "unused"
-    own = replace(mark, role=role, doubt=f"{per_rev:.2g} edges per turn of the wheel")
+    own = mark.used_as(role, f"{per_rev:.2g} edges per turn of the wheel")
     return replace(columns, all=tuple(own if column is mark else column for column in columns.all))
 
 
@@ -444,49 +407,41 @@ def _stated_speeds(speeds: Mapping[str, tuple[float, str]]) -> list[str]:
     return lines
 
 
-def _wheel(columns: Columns, contents: Contents, path: Path, speeds: Mapping[str, tuple[float, str]]) -> list[str]:
-    """Kind, edge and wheel of the encoder as its pulses in the file at ``path`` tell them, else to be stated."""
-    encoder, index, time = (columns.of(role) for role in ("encoder", "index", "time"))
-    assert encoder is not None  # asked for only where there is one
-    if encoder.position:
-        return _position(encoder)
-    guess = encoder_guess(
-        path,
-        encoder.source,
-        index=None if index is None else index.source,
-        time=None if time is None else time.source,
-        rate_hz=contents.rates_hz.get(encoder.name),
-    )
-    if guess is None:
-        return [
-            _asked('kind = "square"', "square, analogue, pulse_times or edge_list"),
-            _asked("# pulses_per_rev = 60", "pulses of the full wheel per revolution; they do not tell"),
-            _asked("# missing_teeth = 2", "or pattern, or tooth_angles_deg"),
-        ]
-    lines = [f'kind = "{guess.kind}"'.ljust(_MARK_COLUMN) + "# as its values look", f'edge = "{guess.edge}"']
-    if guess.found is None:
-        told = _pulses_per_rev(guess.pulses_hz, speeds.get(path.name))
-        if told is not None:
-            return [*lines, _asked(f"pulses_per_rev = {told}", f"{guess.pulses_hz:.4g} pulses/s at the stated speed")]
+def _kind(encoder: Column, wheel: Wheel | None) -> list[str]:
+    """Kind and edge of the ``encoder``, whose pulses show the ``wheel``."""
+    if not encoder.kind:
+        return [_asked('kind = "square"', "square, analogue, pulse_times or edge_list")]
+    kind = f'kind = "{encoder.kind}"'.ljust(_MARK_COLUMN) + "# as its values look"
+    return [kind] if wheel is None else [kind, f'edge = "{wheel.edge}"']
+
+
+def _wheel(encoder: Column, wheel: Wheel | None, stated: tuple[float, str] | None) -> list[str]:
+    """Kind, edge and wheel of the ``encoder`` as its pulses tell them, or the ``stated`` speed, else to be stated."""
+    lines = _kind(encoder, wheel)
+    if wheel is None or wheel.found is None:
+        told = _pulses_per_rev(wheel.pulses_hz, stated) if wheel is not None else None
+        if told is not None and wheel is not None:
+            return [*lines, _asked(f"pulses_per_rev = {told}", f"{wheel.pulses_hz:.4g} pulses/s at the stated speed")]
         wheels = ", ".join(known_names())
         return [
             *lines,
             _asked("# pulses_per_rev = 60", "pulses per revolution; they are even, or too few to tell"),
             _asked('# pattern = "60-2"', f"or a wheel with a gap, or one of the trade: {wheels}"),
         ]
-    even, angles = guess.found.pattern.even, guess.found.pattern.angles_deg
-    told_by = guess.found.told
-    if even is not None:
-        return [*lines, _asked(f"pulses_per_rev = {even[0]}", told_by), f"missing_teeth = {even[1]}"]
-    if guess.found.pattern.name in known_names():
-        return [*lines, _asked(f'pattern = "{guess.found.pattern.name}"', told_by)]
-    return [*lines, _asked("", told_by), f"tooth_angles_deg = [{', '.join(f'{angle:.4g}' for angle in angles)}]"]
+    pattern, told_by = wheel.found.pattern, wheel.found.told
+    if pattern.even is not None:
+        teeth, missing = pattern.even
+        return [*lines, _asked(f"pulses_per_rev = {teeth}", told_by), f"missing_teeth = {missing}"]
+    if pattern.name in known_names():
+        return [*lines, _asked(f'pattern = "{pattern.name}"', told_by)]
+    angles = ", ".join(f"{angle:.4g}" for angle in pattern.angles_deg)
+    return [*lines, _asked("", told_by), f"tooth_angles_deg = [{angles}]"]
 
 
 def _position(encoder: Column) -> list[str]:
     """Kind of an ``encoder`` whose samples are angles or counts, and the counts of a turn as its wraps tell them."""
-    lines = [f'kind = "{encoder.position}"'.ljust(_MARK_COLUMN) + "# as its values look"]
-    if encoder.position == "angle":
+    lines = [f'kind = "{encoder.kind}"'.ljust(_MARK_COLUMN) + "# as its values look"]
+    if encoder.kind == "angle":
         return lines
     if not encoder.wrap or min(abs(encoder.wrap / 2.0**bits - 1.0) for bits in COUNTER_BITS) < _SAME_COUNT:
         return [*lines, _asked("# pulses_per_rev = 4096", "counts of a turn: four for each line of most encoders")]

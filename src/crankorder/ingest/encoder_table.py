@@ -6,7 +6,7 @@ Imports nothing heavy, as all that a manifest is checked with.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, WithJsonSchema
@@ -186,69 +186,60 @@ class Encoder(Table):
         return {"pulses_per_rev": self.pulses_per_rev, "missing_teeth": self.missing_teeth}
 
 
-def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: bool) -> list[RequestError]:
+def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: bool) -> Iterator[RequestError]:
     """Faults of ``encoder`` that show only when several keys are seen together.
 
     ``cycle`` is that of the test; ``domain`` that of the samples; ``speeds_stated``: whether recordings have their own.
     """
     kind, stated = encoder.kind, encoder.model_fields_set
-    has_pulses, has_marks = kind in (*TRACE_KINDS, *TIME_KINDS), encoder.index is not None or encoder.cam is not None
     needs = {
-        "source": has_pulses or kind == "speed",
+        "source": kind in (*TRACE_KINDS, *TIME_KINDS, "speed"),
         "pulses_per_rev": kind == "count",
         "speed_rpm": kind == "constant" and not speeds_stated and encoder.source is None,
     }
-    faults = [
-        _fault(key, f"an encoder of kind {kind!r} needs {key}", remedy="Add it")
-        for key, is_needed in needs.items()
-        if is_needed and getattr(encoder, key) is None
-    ]
-    useless = {"missing_teeth", "pattern", "tooth_angles_deg", "second_track"}  # beside an angle or a count
-    useless |= ({"pulses_per_rev"} if kind == "angle" else set()) | (set() if has_marks else {"edge"})
-    useless &= stated if kind in POSITION_KINDS else set()
-    faults += [_fault(key, f"{key} says nothing of kind {kind!r}", remedy=f"Remove {key}") for key in sorted(useless)]
-    of_file = [key for key in ("time_source", "offset_s") if key in stated and encoder.file is None]
-    faults += [_fault(key, f"{key} is that of the file of pulses", remedy="Add file") for key in of_file]
+    for key in (key for key, is_needed in needs.items() if is_needed and getattr(encoder, key) is None):
+        yield _fault(key, f"an encoder of kind {kind!r} needs {key}", remedy="Add it")
+    if kind in POSITION_KINDS:
+        useless = {"missing_teeth", "pattern", "tooth_angles_deg", "second_track"}
+        useless |= {"pulses_per_rev"} if kind == "angle" else set()
+        useless |= {"edge"} if encoder.index is None and encoder.cam is None else set()
+        for key in sorted(useless & stated):
+            yield _fault(key, f"{key} says nothing of kind {kind!r}", remedy=f"Remove {key}")
+    if encoder.file is None:
+        for key in sorted({"time_source", "offset_s"} & stated):
+            yield _fault(key, f"{key} is that of the file of pulses", remedy="Add file")
+    elif kind not in TIME_KINDS:
+        problem = "a file of its own holds times of pulses: samples lie in the recording"
+        yield _fault("file", problem, allowed=f"beside kind = {' or '.join(TIME_KINDS)}")
     if encoder.expected_rpm is not None and kind != "vibration":
-        faults.append(_fault("expected_rpm", 'expected_rpm goes with kind = "vibration"'))
+        yield _fault("expected_rpm", 'expected_rpm goes with kind = "vibration"')
     if encoder.second_track is not None and kind not in TRACE_KINDS:
         allowed = f"beside kind = {' or '.join(TRACE_KINDS)}"
-        faults.append(_fault("second_track", "a second track is a sampled trace", allowed=allowed))
-    if encoder.file is not None and kind not in TIME_KINDS:
-        problem = "a file of its own holds times of pulses: samples lie in the recording"
-        faults.append(_fault("file", problem, allowed=f"beside kind = {' or '.join(TIME_KINDS)}"))
+        yield _fault("second_track", "a second track is a sampled trace", allowed=allowed)
     if cycle == "none" and (kind != "none" or domain == "crank_angle"):
         problem = "a structure without a shaft has neither an encoder nor samples by crank angle"
         place, found = ("encoder.kind", kind) if kind != "none" else ("sampling.domain", domain)
         remedy = "Remove it, or state the cycle of the machine (rotor)"
-        faults.append(RequestError(problem, place=place, found=found, remedy=remedy))
+        yield RequestError(problem, place=place, found=found, remedy=remedy)
     if domain == "crank_angle" and kind not in ("none", "constant"):
-        problem, remedy = (
-            "samples by crank angle have no use for an encoder",
-            'Remove [encoder], or state domain = "time"',
-        )
-        faults.append(_fault("kind", problem, found=kind, allowed="none, constant", remedy=remedy))
-    return faults + _wheel_faults(encoder, cycle)
-
-
-def _fault(key: str, problem: str, **further: Any) -> RequestError:
-    return RequestError(problem, place=f"encoder.{key}", **further)
-
-
-def _wheel_faults(encoder: Encoder, cycle: str) -> list[RequestError]:
-    faults: list[RequestError] = []
-    stated = [key for key in ("pattern", "tooth_angles_deg", "pulses_per_rev") if getattr(encoder, key) is not None]
-    if len(stated) > 1:
-        problem, remedy = f"the wheel is stated by {' and by '.join(stated)}", f"Remove {' and '.join(stated[1:])}"
-        faults.append(_fault(stated[0], problem, allowed="one of them", remedy=remedy))
+        problem, allowed = "samples by crank angle have no use for an encoder", "none, constant"
+        remedy = 'Remove [encoder], or state domain = "time"'
+        yield _fault("kind", problem, found=kind, allowed=allowed, remedy=remedy)
+    if encoder.cam is not None and cycle != "four-stroke":
+        problem, remedy = "a cam mark tells the phase of a four-stroke cycle only", "Remove cam, or mend test.cycle"
+        yield _fault("cam", problem, found=f"cycle = {cycle!r}", remedy=remedy)
+    if encoder.cam_to_tdc_deg is not None and encoder.cam is None:
+        yield _fault("cam_to_tdc_deg", "cam_to_tdc_deg needs cam, its source", remedy="Add cam")
+    wheels = [key for key in ("pattern", "tooth_angles_deg", "pulses_per_rev") if getattr(encoder, key) is not None]
+    if len(wheels) > 1:
+        problem, remedy = f"the wheel is stated by {' and by '.join(wheels)}", f"Remove {' and '.join(wheels[1:])}"
+        yield _fault(wheels[0], problem, allowed="one of them", remedy=remedy)
     if encoder.missing_teeth and encoder.missing_teeth >= (encoder.pulses_per_rev or encoder.missing_teeth):
         allowed = "below pulses_per_rev, which counts the full wheel"
         allowed += f" = {encoder.pulses_per_rev}" if encoder.pulses_per_rev else ""
         problem = "more teeth are missing than the wheel has"
-        faults.append(_fault("missing_teeth", problem, found=encoder.missing_teeth, allowed=allowed))
-    if encoder.cam is not None and cycle != "four-stroke":
-        problem, remedy = "a cam mark tells the phase of a four-stroke cycle only", "Remove cam, or mend test.cycle"
-        faults.append(_fault("cam", problem, found=f"cycle = {cycle!r}", remedy=remedy))
-    if encoder.cam_to_tdc_deg is not None and encoder.cam is None:
-        faults.append(_fault("cam_to_tdc_deg", "cam_to_tdc_deg needs cam, its source", remedy="Add cam"))
-    return faults
+        yield _fault("missing_teeth", problem, found=encoder.missing_teeth, allowed=allowed)
+
+
+def _fault(key: str, problem: str, **further: Any) -> RequestError:
+    return RequestError(problem, place=f"encoder.{key}", **further)

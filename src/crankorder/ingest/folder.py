@@ -11,6 +11,7 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -50,7 +51,7 @@ def is_leftover(name: str) -> bool:
 
 def is_companion(name: str) -> bool:
     """Whether a file ``name`` goes with recordings and holds none: a manifest, a truth, a list of checksums."""
-    return name in _COMPANIONS or is_checksum_list(name)
+    return name in _COMPANIONS or bool(_LIST.fullmatch(name) or _OF_BAG.fullmatch(name))
 
 
 def natural_key(path: Path) -> list[tuple[int, int, str]]:
@@ -73,22 +74,16 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
         if len(faults) >= MOST_TOLD and not glob.has_magic(pattern) and not os.path.lexists(f"{folder}/{pattern}"):
             untold += 1
             continue
-        try:
+        matches: list[Path] = []
+        with collected(faults):
             matches = _matches(folder, pattern)
-        except CrankorderError as error:
-            faults.append(error)
-            continue
         for path in matches:
-            try:
-                if path in chosen:
-                    continue
+            with collected(faults):
                 if is_leftover(path.name):
                     ignored.append(path.name)
-                elif not is_companion(path.name) or pattern == path.name:
+                elif path not in chosen and (not is_companion(path.name) or pattern == path.name):
                     check_regular(path, folder)
                     chosen[path] = None
-            except CrankorderError as error:
-                faults.append(error)
     pulses = {path: manifest.pulses_of(path) for path in chosen}
     _refuse_shared(pulses, manifest, folder)
     for path in [path for path in chosen if path in pulses.values() and pulses[path] != path]:
@@ -101,6 +96,15 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
         raise NoUsableRecordingError(problem, file=folder, found=_listing(folder), remedy=remedy)
     faults += _unused_speeds(manifest, chosen, folder)
     return Folder(sorted(chosen, key=natural_key), faults, sorted(set(ignored)))
+
+
+@contextmanager
+def collected(faults: list[CrankorderError]) -> Iterator[None]:
+    """Add what is raised within to ``faults``."""
+    try:
+        yield
+    except CrankorderError as error:
+        faults.append(error)
 
 
 def _refuse_shared(pulses: Mapping[Path, Path | None], manifest: Manifest, folder: Path) -> None:
@@ -222,11 +226,6 @@ class Listed:
     by: Path
 
 
-def is_checksum_list(name: str) -> bool:
-    """Whether a file ``name`` holds checksums, or tells of a bag of files that has them, and no samples."""
-    return bool(_LIST.fullmatch(name) or _OF_BAG.fullmatch(name))
-
-
 def checksum_faults(
     folder: Path,
     files: Iterable[Path],
@@ -252,9 +251,14 @@ def checksum_faults(
                 problem = f"is listed in {entry.by.name} and not there"
                 faults.append(InputError(problem, file=entry.path, remedy="Copy it again"))
             continue
-        known = sha256_of(wanted[path]) if sha256_of is not None and entry.algorithm == "sha256" else None
-        digest = known or _digest(path, entry.algorithm)
-        if digest is not None and digest.lower() != entry.digest.lower():
+        digest = sha256_of(wanted[path]) if sha256_of is not None and entry.algorithm == "sha256" else None
+        if digest is None:
+            try:
+                with path.open("rb") as stream:
+                    digest = hashlib.file_digest(stream, entry.algorithm).hexdigest()
+            except OSError:
+                continue  # what cannot be read has a fault of its own
+        if digest.lower() != entry.digest.lower():
             faulty.add(path)
             problem = f"its {entry.algorithm.upper()} differs from {entry.by.name}: it was damaged or changed"
             remedy = "Copy it again from where it was recorded; where it was changed on purpose, renew the list"
@@ -270,14 +274,6 @@ def _is_asked_for(path: Path, folder: Path, patterns: Sequence[str]) -> bool:
     return name in patterns or any(fnmatch.fnmatchcase(name, pattern) for pattern in deep)
 
 
-def _digest(path: Path, algorithm: str) -> str | None:
-    try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, algorithm).hexdigest()
-    except OSError:
-        return None  # what cannot be read has a fault of its own
-
-
 def _listed(folder: Path, faults: list[CrankorderError]) -> Iterator[Listed]:
     """Entries of the lists in ``folder``, and of those of the bag whose payload it is; unreadable lines are faults."""
     homes = [folder]
@@ -285,22 +281,21 @@ def _listed(folder: Path, faults: list[CrankorderError]) -> Iterator[Listed]:
     if folder.resolve().name == "data" and (above / "bagit.txt").is_file():
         homes.append(above)
     for home in homes:
-        for by in sorted(item for item in home.iterdir() if _LIST.fullmatch(item.name) and item.is_file()):
-            yield from _entries(by, home, folder, faults)
+        for by in sorted(path for path in home.iterdir() if _LIST.fullmatch(path.name) and path.is_file()):
+            with collected(faults):
+                yield from _entries(by, home, folder)
 
 
-def _entries(by: Path, home: Path, folder: Path, faults: list[CrankorderError]) -> Iterator[Listed]:
+def _entries(by: Path, home: Path, folder: Path) -> Iterator[Listed]:
     match = _LIST.fullmatch(by.name)
     algorithm = next(kind for kind in match.groups() if kind).lower() if match else ""
     try:
         with by.open("rb") as stream:
             text = stream.read(_MOST_BYTES + 1).decode("utf-8-sig", "surrogateescape")
     except OSError as error:
-        faults.append(InputError("cannot be read", file=by, found=error))
-        return
+        raise InputError("cannot be read", file=by, found=error) from None
     if len(text) > _MOST_BYTES:
-        faults.append(InputError(f"is no list of checksums: more than {_MOST_BYTES} bytes", file=by))
-        return
+        raise InputError(f"is no list of checksums: more than {_MOST_BYTES} bytes", file=by)
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.startswith(("#", ";")):
             continue
@@ -308,9 +303,7 @@ def _entries(by: Path, home: Path, folder: Path, faults: list[CrankorderError]) 
         name, digest = (tagged[1], tagged[2]) if tagged else (plain[2] or by.stem, plain[1]) if plain else ("", "")
         if len(digest) != 2 * hashlib.new(algorithm).digest_size:
             problem, remedy = f"is no {algorithm} checksum", "Write the list again, or remove it"
-            place, found = f"line {number}", printable(line, 60)
-            faults.append(InputError(problem, file=by, place=place, found=found, remedy=remedy))
-            return
+            raise InputError(problem, file=by, place=f"line {number}", found=printable(line, 60), remedy=remedy)
         path = _inside(name.strip(), home, folder)
         if path is not None:
             yield Listed(path, algorithm, digest, by)

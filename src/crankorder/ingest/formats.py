@@ -61,22 +61,23 @@ _UNREAD_SIGNS: tuple[tuple[bytes, str, str], ...] = (
 
 @dataclass(frozen=True)
 class Format:
-    """A format that is read: its ``name``, the ``module`` of this room that reads it, and what tells a file of it.
+    """A format that is read: its ``name``, the ``reader`` (``module.function`` of this room), what tells a file of it.
 
-    ``told_by`` takes the file's path and first bytes. The module has ``read`` (path, sources, settings → RawFile) and
-    ``contents`` (path, settings → Contents), whose errors need not name the file; it is imported when it is needed.
-    ``by_rows``: its ``read`` can be asked for some samples alone, at the cost of these.
+    ``told_by`` takes the file's path and first bytes. The reader (path, sources, settings → RawFile) is imported when
+    it is needed, and its errors need not name the file; asked for no sources it reads no samples and tells what the
+    file holds. ``by_rows``: it can be asked for some samples alone, at the cost of these.
     """
 
     name: str
-    module: str
+    reader: str
     told_by: Callable[[Path, bytes], bool]
     by_rows: bool = False
 
-    def function(self, name: str) -> Callable[..., Any]:
-        """The function ``name`` of the module."""
-        function: Callable[..., Any] = getattr(import_module(f"crankorder.ingest.{self.module}"), name)
-        return function
+    def read(self, path: Path, **asked: Any) -> RawFile:
+        """What the reader gives for the file at ``path``, ``asked`` so."""
+        module, _, function = self.reader.rpartition(".")
+        raw: RawFile = getattr(import_module(f"crankorder.ingest.{module}"), function)(path, **asked)
+        return raw
 
 
 def _begins(signature: bytes) -> Callable[[Path, bytes], bool]:
@@ -115,20 +116,22 @@ def _is_ide(path: Path, head: bytes) -> bool:
 
 
 FORMATS = (
-    Format("HDF5", "hdf5", _is_hdf5, by_rows=True),  # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
-    Format("WAV", "wav", _is_wav, by_rows=True),
-    Format("MATLAB", "matlab", _begins(b"MATLAB 5.0 MAT-file")),
-    Format("NumPy", "numpy_file", _begins(b"\x93NUMPY"), by_rows=True),
-    Format("LVM", "lvm", _begins(b"LabVIEW Measurement")),
-    Format("XLSX", "xlsx", _is_xlsx),
-    Format("UFF", "uff", lambda path, head: re.match(UFF_SIGN, head) is not None),
-    Format("TDMS", "tdms", _begins(b"TDSm")),
-    Format("MDF4", "mdf", _begins(b"MDF     4")),
-    Format("IDE", "ide", _is_ide),
+    Format(
+        "HDF5", "hdf5.read", _is_hdf5, by_rows=True
+    ),  # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
+    Format("WAV", "wav.read", _is_wav, by_rows=True),
+    Format("MATLAB", "matlab.read", _begins(b"MATLAB 5.0 MAT-file")),
+    Format("NumPy", "numpy_file.read", _begins(b"\x93NUMPY"), by_rows=True),
+    Format("LVM", "lvm.read", _begins(b"LabVIEW Measurement")),
+    Format("XLSX", "text.read_xlsx", _is_xlsx),
+    Format("UFF", "uff.read", lambda path, head: re.match(UFF_SIGN, head) is not None),
+    Format("TDMS", "loggers.read_tdms", _begins(b"TDSm")),
+    Format("MDF4", "loggers.read_mdf", _begins(b"MDF     4")),
+    Format("IDE", "loggers.read_ide", _is_ide),
 )
 """Formats with a sign of their own, in the order in which they are tried; the rest is text, or refused."""
 
-TEXT = Format("text", "text", lambda path, head: True)
+TEXT = Format("text", "text.read", lambda path, head: True)
 
 
 def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings, rows: slice | None = None) -> RawFile:
@@ -137,14 +140,14 @@ def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings
     ``settings`` limit what is read; ``rows``: of the samples, None for all (of a format that can be read by rows).
     Raises InputError, UnsafeInputError or, for a missing package, EnvironmentFailure.
     """
-    read, some = format_of(path).function("read"), {} if rows is None else {"rows": rows}
+    some = {} if rows is None else {"rows": rows}
+    known = format_of(path)
     with located(path):
         try:
-            raw: RawFile = read(path, sources=sources, settings=settings, **some)
+            return known.read(path, sources=sources, settings=settings, **some)
         except MemoryError:
             remedy = "Split the recording, or run where there is more memory"
             raise UnsafeInputError("does not fit into memory", remedy=remedy) from None
-    return raw
 
 
 def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
@@ -152,11 +155,9 @@ def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` limit what is read. Raises what :func:`read_file` raises.
     """
-    look = format_of(path).function("contents")
-    with located(path):
-        contents: Contents = look(path, settings=settings)
-        if not contents.names:
-            raise InputError("holds no channel of numbers", remedy="Export the recording again")
+    contents = read_file(path, sources=(), settings=settings).contents
+    if not contents.names:
+        raise InputError("holds no channel of numbers", file=path, remedy="Export the recording again")
     return contents
 
 

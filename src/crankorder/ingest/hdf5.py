@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -14,11 +13,9 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.errors import CrankorderError, InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
-    HDF5_SIGNATURE,
     Contents,
     Described,
     FloatArray,
@@ -32,55 +29,53 @@ from crankorder.ingest.rawfile import (
     rows_for,
     starts_by_date,
 )
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import Floats, QualityFlag
 from crankorder.scratch import blocks, is_on_disk
 from crankorder.settings import IngestSettings
 
 _MAX_DEPTH = 32
+_LEAST_BYTES = 96
+"""Of an HDF5 file: its superblock."""
 PIECE_BYTES = 1 << 22
 """Bytes of a column read at a time where it goes to disk; whole chunks, and at least one."""
 
 # deflate, shuffle, fletcher32, szip, nbit, scaleoffset, lzf: all others would load code from a plugin folder
 _FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 4: "szip", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
-# as loggers write them, in whatever case and with whatever between the words
-_RATE_NAMES = (
-    "rate_hz", "sample_rate_hz", "sample_rate", "sampling_rate", "sampling_rate_hz", "sampling_frequency",
-    "sampling_frequency_hz", "sample_frequency", "sample_freq", "samp_freq", "fs", "fs_hz",
-)  # fmt: skip
-_STEP_NAMES = (
-    "wf_increment", "dt", "dt_s", "delta_t", "increment_s", "time_step", "sample_interval", "sampling_interval",
-)  # fmt: skip
-_SPEED_NAMES = ("speed_rpm", "rpm", "shaft_speed_rpm", "nominal_rpm", "engine_speed_rpm")
-_UNIT_NAMES = ("units", "unit", "unit_string")
-_START_NAMES = ("start_s", "wf_start_offset")
-_CLOCK_NAMES = ("t0", "t0_s", "start_time", "start_time_s", "start_offset_s", "time_offset_s")
-_DATE_NAMES = ("wf_start_time", "start_time")
-_TIME_NAMES = (_START_NAMES, _CLOCK_NAMES, _DATE_NAMES)
-_PACKING_NAMES = ("_FillValue", "missing_value", "scale_factor", "add_offset")
-_TEXT_NUMBER = re.compile(r"([+-]?[0-9.]{1,30}(?:[eE][+-]?[0-9]{1,3})?)\s*([kMmµu]?)(?:Hz|S/s|s|sec)?")
-_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "µ": 1e-6, "u": 1e-6}
-_SAME_RATE = 1e-4  # a time step is often written with few decimals
-
-
-def _plain(name: str) -> str:
-    """``name`` of an attribute without case and without what stands between its words."""
-    return re.sub("[^a-z0-9]", "", name.lower())
-
-
-# each name that is asked for as it is known without case
-_PLAIN = {
-    name: _plain(name)
-    for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES, _UNIT_NAMES, *_TIME_NAMES, _PACKING_NAMES)
-    for name in names
-}
-_ASKED = frozenset(_PLAIN.values())
-_ALONE = frozenset(_plain(name) for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES) for name in names)
 # an exception of h5py on a damaged file may be any of these
 _H5PY_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError, IndexError)
 
 
-_Value = str | bytes | float | np.generic | NDArray[np.generic]
-"""Value of an attribute as h5py gives it."""
+def _plain(name: str) -> str:
+    """``name`` of an attribute without case and what stands between its words: loggers write these as they like."""
+    return re.sub("[^a-z0-9]", "", name.lower())
+
+
+_RATES = tuple(
+    _plain(name)
+    for name in (
+        "rate_hz", "sample_rate_hz", "sample_rate", "sampling_rate", "sampling_rate_hz", "sampling_frequency",
+        "sampling_frequency_hz", "sample_frequency", "sample_freq", "samp_freq", "fs", "fs_hz",
+    )
+)  # fmt: skip
+_STEPS = tuple(
+    _plain(name)
+    for name in (
+        "wf_increment", "dt", "dt_s", "delta_t", "increment_s", "time_step", "sample_interval", "sampling_interval",
+    )
+)  # fmt: skip
+_SPEEDS = ("speedrpm", "rpm", "shaftspeedrpm", "nominalrpm", "enginespeedrpm")
+_UNITS = ("units", "unit", "unitstring")
+_STARTS = ("starts", "wfstartoffset")
+_CLOCKS = ("t0", "t0s", "starttime", "starttimes", "startoffsets", "timeoffsets")
+_DATES = ("wfstarttime", "starttime")
+_FILLS, _SCALE, _OFFSET = ("fillvalue", "missingvalue"), "scalefactor", "addoffset"
+_ALONE = frozenset((*_RATES, *_STEPS, *_SPEEDS))
+_ASKED = _ALONE | {*_UNITS, *_STARTS, *_CLOCKS, *_DATES, *_FILLS, _SCALE, _OFFSET}
+_TEXT_NUMBER = re.compile(
+    r"([+-]?(?:[0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?)\s*([kMmµu]?)(?:Hz|S/s|s|sec)?"
+)
+_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "µ": 1e-6, "u": 1e-6}
+_SAME_RATE = 1e-4  # a time step is often written with few decimals
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,28 +96,18 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     with _opened(path) as file:
         columns = _columns_of(file, settings)
         names = names_of(sources, list(columns), path)
-        wanted = {name: columns[name] for name in names.values()}
+        wanted = {name: columns[name] for name in names.values()} or columns
         used = {column.dataset: column.opened for column in wanted.values()}
         stated, attributes, undated = _stated(file, wanted, used, path)
+        if not names:
+            speeds = (attributes.number(dataset, _SPEEDS) for dataset in used)
+            return replace(stated, speed_rpm=next((rpm for rpm in speeds if rpm), None)).with_columns({}, ())
         check_budget(sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values()), settings)
         values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
         others = set(stated.rates_hz.values())
         doubts = [attributes.doubts(at.dataset, stated.rates_hz.get(name), others) for name, at in wanted.items()]
         flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
         return stated.with_columns(names, values, flags=flags + undated)
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names, lengths, units and rates of the numeric datasets of the HDF5 file at ``path``; reads no samples.
-
-    ``settings`` give the object limit. Raises what :func:`read` raises.
-    """
-    with _opened(path) as file:
-        columns = _columns_of(file, settings)
-        opened = {column.dataset: column.opened for column in columns.values()}
-        stated, attributes, _ = _stated(file, columns, opened, path)
-        speeds = (attributes.number(column.dataset, _SPEED_NAMES) for column in columns.values())
-        return replace(stated, speed_rpm=next((rpm for rpm in speeds if rpm), None))
 
 
 def _stated(
@@ -138,54 +123,35 @@ def _stated(
     starts, undated = starts_by_date(*attributes.starts({name: at.dataset for name, at in columns.items()}), path)
     described = {
         name: Described(
-            at.n_samples, attributes.text(at.dataset, _UNIT_NAMES), attributes.rate_hz(at.dataset), starts.get(name)
+            at.n_samples, attributes.text(at.dataset, _UNITS), attributes.rate_hz(at.dataset), starts.get(name)
         )
         for name, at in columns.items()
     }
     return Contents.of("HDF5", described), attributes, undated
 
 
-def _known(numbers: Mapping[Any, float | None]) -> dict[Any, float]:
-    return {name: number for name, number in numbers.items() if number is not None}
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    _check_superblock(path)
     try:
         with h5py.File(path, "r", locking=False) as file:
             yield file
     except CrankorderError:
         raise
     except _H5PY_ERRORS as error:
-        raise InputError(
-            "is a damaged HDF5 file", found=str(error).split("\n")[0], remedy="Copy it again from where it was recorded"
-        ) from None
+        raise _damage(str(error).split("\n")[0], path.stat().st_size) from None
 
 
-def _check_superblock(path: Path) -> None:
-    """Say in plain words that a file is cut short or was never closed, before the HDF5 library says it in its own."""
-    size = path.stat().st_size
-    with path.open("rb") as stream:
-        head = stream.read(8192)
-    base = next((start for start in (0, 512, 1024, 2048, 4096) if head[start : start + 8] == HDF5_SIGNATURE), 0)
-    block = head[base : base + 96]
-    version = block[8] if len(block) > 8 else 0
-    offset = {0: 40, 1: 44}.get(version, 28)
-    wide = block[13 if version < 2 else 9 : 14 if version < 2 else 10] in (b"\x08", b"")
-    if len(block) < offset + 8:
-        raise InputError(f"truncated: only {size} bytes are left of an HDF5 file", remedy="Copy it again")
-    end = struct.unpack_from("<Q", block, offset)[0] if wide else 0
-    if version >= 3 and block[11] & 0b101:
-        raise InputError(
-            "was not closed by its writer",
-            remedy="Copy it after the recording has ended, or, at your own risk, run `h5clear --status` on a copy",
-        )
-    if wide and size < end < 2**62:
-        raise InputError(
-            f"truncated: {size} of {end} bytes",
-            remedy="Copy it again; if the original is as short, its writer was stopped before closing it",
-        )
+def _damage(said: str, size: int) -> InputError:
+    """What the HDF5 library ``said`` of a file of ``size`` bytes, in plain words."""
+    cut = re.search(r"eof = (\d+), .*stored_eof = (\d+)", said)
+    if cut or size < _LEAST_BYTES:
+        problem = f"truncated: {cut[1]} of {cut[2]} bytes" if cut else f"truncated: only {size} bytes are left"
+        remedy = "Copy it again; if the original is as short, its writer was stopped before closing it"
+        return InputError(problem, remedy=remedy)
+    if "already open for write" in said:
+        remedy = "Copy it after the recording has ended, or, at your own risk, run `h5clear --status` on a copy"
+        return InputError("was not closed by its writer", remedy=remedy)
+    return InputError("is a damaged HDF5 file", found=said, remedy="Copy it again from where it was recorded")
 
 
 def _columns_of(file: Any, settings: IngestSettings) -> dict[str, _Column]:
@@ -315,11 +281,11 @@ def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any, first: i
 
 def _unpack(row: FloatArray, place: str, index: int, n_columns: int, attributes: _Attributes) -> None:
     """Undo the packing conventions of NetCDF: fill value, scale and offset of one of the columns of a dataset."""
-    fill = attributes.number(place, ("_FillValue", "missing_value"), inherited=False)
+    fill = attributes.number(place, _FILLS, inherited=False)
     if fill is not None:
         for part in blocks(row.size):
             row[part][row[part] == row.dtype.type(fill)] = np.nan
-    for name, applied in (("scale_factor", np.multiply), ("add_offset", np.add)):
+    for name, applied in ((_SCALE, np.multiply), (_OFFSET, np.add)):
         if (number := attributes.packing(place, name, index, n_columns)) is not None:
             applied(row, number, out=row)
 
@@ -330,11 +296,11 @@ class _Attributes:
     def __init__(self, file: Any, opened: Mapping[str, Any]) -> None:
         """Of the objects of ``file``, some of which are ``opened`` already, by place."""
         self._file, self._opened = file, opened
-        self._of: dict[str, tuple[dict[str, _Value], dict[str, float]]] = {}
+        self._of: dict[str, dict[str, tuple[str, Any]]] = {}
 
     def rate_hz(self, place: str) -> float | None:
         """Samples per second that the attributes at ``place``, of a group above it or of the file state."""
-        stated = _as_rates(self._numbers(place, (*_RATE_NAMES, *_STEP_NAMES)))
+        stated = next((rates for at in (place, *_above(place)) if (rates := self._rates_at(at))), {})
         value = next(iter(stated.values()), None)
         if value is not None and any(abs(other - value) > _SAME_RATE * abs(value) for other in stated.values()):
             found = ", ".join(f"{name}: {other:.9g} Hz" for name, other in stated.items())
@@ -350,14 +316,13 @@ class _Attributes:
         It may be written as text, or one for each column. Raises InputError where it is neither: the scale of the
         samples is then not known.
         """
-        value = self._at(place)[0].get(_PLAIN[name])
-        if value is None:
+        if name not in self._at(place):
             return None
-        with suppress(TypeError, ValueError, UnicodeDecodeError):
-            numbers = np.atleast_1d(_number_in(value))
-            if numbers.ndim == 1 and numbers.size in (1, n_columns) and np.isfinite(numbers).all():
-                return float(numbers[index if numbers.size > 1 else 0])
-        problem, found = f"its {name} is not a number", printable(repr(value), 60)
+        own, value = self._at(place)[name]
+        numbers = _numbers_in(value)
+        if numbers.size in (1, n_columns) and np.isfinite(numbers).all():
+            return float(numbers[index if numbers.size > 1 else 0])
+        problem, found = f"its {own} is not a number", printable(repr(value), 60)
         remedy = "Mend the attribute, or export the samples as floats in their unit"
         raise InputError(problem, place=place, found=found, remedy=remedy)
 
@@ -366,13 +331,12 @@ class _Attributes:
 
         A rate stated above it may be that of other datasets, ``others_hz``.
         """
-        for name in ("scale_factor", "add_offset"):
-            value = self._at(place)[0].get(_PLAIN[name])
-            if value is not None and (isinstance(value, (bytes, str)) or np.size(value) > 1):
-                kind = "text" if isinstance(value, (bytes, str)) else f"{np.size(value)} numbers, one for each column"
+        for name, value in (self._at(place)[name] for name in (_SCALE, _OFFSET) if name in self._at(place)):
+            if _text_in(value) or np.size(value) > 1:
+                kind = "text" if _text_in(value) else f"{np.size(value)} numbers, one for each column"
                 yield "scale_unusual", f"{place}: its {name} is {kind}; taken as such"
-        for above in (place.rpartition("/")[0] or "/", "/"):
-            for name, other in _as_rates(self._numbers_at(above, (*_RATE_NAMES, *_STEP_NAMES))).items():
+        for above in _above(place):
+            for name, other in self._rates_at(above).items():
                 if rate_hz and other not in others_hz and abs(other - rate_hz) > _SAME_RATE * rate_hz:
                     yield (
                         "header_rate_disagrees",
@@ -381,106 +345,89 @@ class _Attributes:
 
     def number(self, place: str, names: Sequence[str], *, inherited: bool = True) -> float | None:
         """First of the attributes ``names`` that is one number, at ``place``, else of its group, else of the file."""
-        return next(iter(self._numbers(place, names, inherited=inherited).values()), None)
+        places = (place, *_above(place)) if inherited else (place,)
+        values = (self._at(at)[name][1] for at in places for name in names if name in self._at(at))
+        return next((float(numbers[0]) for value in values if (numbers := _numbers_in(value)).size == 1), None)
+
+    def text(self, place: str, names: Sequence[str]) -> str:
+        """First of the attributes ``names`` at ``place`` that is text, else ""."""
+        texts = (_text_in(self._at(place)[name][1]) for name in names if name in self._at(place))
+        return next((text for text in texts if text), "")
 
     def starts(self, places: Mapping[Any, str]) -> tuple[dict[Any, np.datetime64], dict[Any, float]]:
         """Dates of start, and times in s, that the attributes at each of ``places`` or of what is above it state."""
         dates: dict[Any, np.datetime64] = {}
         for key, place in places.items():
             with suppress(ValueError):
-                dates[key] = np.datetime64(self.text(place, _DATE_NAMES).strip().rstrip("Z"), "ns")
-        times = _known({key: self.number(place, _START_NAMES) for key, place in places.items()})
-        # may count from anywhere, unlike a list of pulse times beside them
-        clock = _known({key: self.number(place, _CLOCK_NAMES, inherited=False) for key, place in places.items()})
-        late = {key: time_s - min(clock.values()) for key, time_s in clock.items()}
-        times |= {key: times.get(key, 0.0) + late_s for key, late_s in late.items()}
+                dates[key] = np.datetime64(self.text(place, _DATES).strip().rstrip("Z"), "ns")
+        stated = {
+            key: (self.number(at, _STARTS), self.number(at, _CLOCKS, inherited=False)) for key, at in places.items()
+        }
+        # a clock may count from anywhere, unlike a list of pulse times beside them
+        first_s = min((clock for _, clock in stated.values() if clock is not None), default=0.0)
+        times = {
+            key: (start or 0.0) + (first_s if clock is None else clock) - first_s
+            for key, (start, clock) in stated.items()
+            if start is not None or clock is not None
+        }
         return {key: date for key, date in dates.items() if not np.isnat(date)}, times
 
-    def _numbers(self, place: str, names: Sequence[str], *, inherited: bool = True) -> dict[str, float]:
-        """All of these attributes by name, of the first place that has any."""
-        places = [place, place.rpartition("/")[0] or "/", "/"] if inherited else [place]
-        return next((found for place in places if (found := self._numbers_at(place, names))), {})
+    def _rates_at(self, place: str) -> dict[str, float]:
+        """Samples per second that rates and time steps stated at ``place`` mean, by their names."""
+        rates: dict[str, float] = {}
+        for plain in (*_RATES, *_STEPS):
+            name, value = self._at(place).get(plain, ("", ""))
+            if (numbers := _numbers_in(value)).size == 1:
+                number = float(numbers[0])
+                rates[name] = number if plain in _RATES else 1.0 / number if number else 0.0
+        return rates
 
-    def _numbers_at(self, place: str, names: Sequence[str]) -> dict[str, float]:
-        numbers = self._at(place)[1]
-        return {name: numbers[_PLAIN[name]] for name in names if _PLAIN[name] in numbers} if numbers else {}
-
-    def text(self, place: str, names: Sequence[str]) -> str:
-        """First of the attributes ``names`` at ``place`` that is text, else ""."""
-        attrs = self._at(place)[0]
-        for name in names:
-            value = attrs.get(_PLAIN[name])
-            if isinstance(value, np.ndarray) and value.size == 1:
-                value = value.reshape(-1)[0]
-            if isinstance(value, bytes):
-                value = value.decode("utf-8", "replace")
-            if isinstance(value, str):
-                return re.sub(r"\0.*", "", value)
-        return ""
-
-    def _at(self, place: str) -> tuple[dict[str, _Value], dict[str, float]]:
-        """Attributes of the object at ``place``, and those of them that are one number."""
+    def _at(self, place: str) -> dict[str, tuple[str, Any]]:
+        """Name and value of each attribute of the object at ``place``, by its plain name."""
         if place not in self._of:
-            attrs = _readable(self._opened[place] if place in self._opened else self._file[place])
-            numbers = {name: number for name, value in attrs.items() if (number := _number_of(value)) is not None}
-            self._of[place] = attrs, numbers
+            self._of[place] = _read_attributes(self._opened[place] if place in self._opened else self._file[place])
         return self._of[place]
 
 
-def _as_rates(stated: dict[str, float]) -> dict[str, float]:
-    """Samples per second that rates and time steps ``stated`` mean, by name."""
-    return {name: value if name in _RATE_NAMES else 1.0 / value if value else 0.0 for name, value in stated.items()}
+def _above(place: str) -> tuple[str, str]:
+    """Places of the group of the object at ``place`` and of the whole file."""
+    return place.rpartition("/")[0] or "/", "/"
 
 
-def _number_of(value: Any) -> float | None:
-    """The one number that an attribute's ``value`` is, or says as text; None where it is none."""
-    if value is None or np.size(value) != 1:
-        return None
-    with suppress(TypeError, ValueError, UnicodeDecodeError):
-        return float(np.asarray(_number_in(value), dtype=np.float64).reshape(()))
-    return None
+def _text_in(value: Any) -> str:
+    """The text that an attribute's ``value`` is, empty where it is none."""
+    texts = np.asarray(value).reshape(-1)
+    text = texts[0] if texts.size == 1 and texts.dtype.kind in "SUO" else ""
+    text = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
+    return re.sub(r"\0.*", "", text) if isinstance(text, str) else ""
 
 
-def _number_in(value: Any) -> Any:
-    """``value`` of an attribute as numbers, where it is text those that it says in Hz or s: "51.2 kHz"."""
-    if isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "SUO":
-        value = value.reshape(-1)[0]
-    if isinstance(value, bytes):
-        value = value.decode("utf-8")
-    if not isinstance(value, str):
-        if np.asarray(value).dtype.kind not in "iuf":
-            raise TypeError("no number")
-        return np.asarray(value, dtype=np.float64)
-    match = _TEXT_NUMBER.fullmatch(value.strip(" \0"))
-    if match is None:
-        raise ValueError("no number")
-    return float(match[1]) * _PREFIXES[match[2] or ""]
+def _numbers_in(value: Any) -> Floats:
+    """The numbers that an attribute's ``value`` is, or says as text in Hz or s ("51.2 kHz"); empty of other text."""
+    numbers = np.asarray(value).reshape(-1)
+    if numbers.dtype.kind in "iuf":
+        return numbers.astype(np.float64)
+    match = _TEXT_NUMBER.fullmatch(_text_in(value).strip())
+    return np.array([float(match[1]) * _PREFIXES[match[2] or ""]] if match else [], dtype=np.float64)
 
 
-def _readable(place: h5py.Group | h5py.Dataset) -> dict[str, _Value]:
-    """Attributes at ``place`` that can be read, of those that are asked for here: others may be large."""
-    attributes: dict[str, _Value] = {}
-    try:
-        names = {name: plain for name in place.attrs if (plain := _plain(name)) in _ASKED}
-    except _H5PY_ERRORS:
-        return attributes
-    for name, plain in names.items():
-        with suppress(*_H5PY_ERRORS):
-            attributes[plain] = place.attrs[name]
-    return {**_numbers_beside(place), **attributes} if isinstance(place, h5py.Group) else attributes
+def _read_attributes(place: h5py.Group | h5py.Dataset) -> dict[str, tuple[str, Any]]:
+    """Name and value by plain name of the attributes at ``place`` that can be read and are asked for.
 
-
-def _numbers_beside(group: h5py.Group) -> dict[str, float]:
-    """Single numbers of such names that lie in ``group`` as datasets of their own, as MATLAB and scripts write them."""
-    numbers: dict[str, float] = {}
+    Others may be large. Single numbers that lie in a group as datasets of their own count too, as MATLAB and scripts
+    write them; nothing is loaded or followed to read these.
+    """
+    found: dict[str, tuple[str, Any]] = {}
     with suppress(*_H5PY_ERRORS):
-        for name in [name for name in group if _plain(name) in _ALONE]:
-            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                continue
-            dataset = group[name]
+        for name in [name for name in place if _plain(name) in _ALONE] if isinstance(place, h5py.Group) else []:
+            dataset = place[name] if isinstance(place.get(name, getlink=True), h5py.HardLink) else None
             if not isinstance(dataset, h5py.Dataset) or dataset.size != 1 or dataset.dtype.kind not in "iuf":
                 continue
-            create = dataset.id.get_create_plist()  # nothing is loaded or followed to read the value
+            create = dataset.id.get_create_plist()
             if not (create.get_external_count() or create.get_nfilters() or dataset.is_virtual):
-                numbers[_plain(name)] = float(np.asarray(dataset[()]).reshape(-1)[0])
-    return numbers
+                found[_plain(name)] = name, dataset[()]
+    with suppress(*_H5PY_ERRORS):
+        for name in [name for name in place.attrs if _plain(name) in _ASKED]:
+            with suppress(*_H5PY_ERRORS):
+                found[_plain(name)] = name, place.attrs[name]
+    return found

@@ -110,6 +110,12 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     check_budget(path.stat().st_size, settings)
     layout = _layout(path)
     names = names_of(sources, tuple(layout.columns), path)
+    if not names:
+
+        def first_times(time: _Column) -> FloatArray:
+            return _read(path, layout, time.segment, [time.place], settings, most=_FEW_LINES)[0]
+
+        return _timing(layout, layout.columns, first_times, path, settings)[0].with_columns({}, ())
     wanted = {name: layout.columns[name] for name in names.values()}
     times = [time for column in wanted.values() if (time := layout.times_of(column)) is not None]
     read: dict[tuple[int, int], FloatArray] = {}
@@ -126,20 +132,6 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     flags += [remark for column in wanted.values() if (remark := _missing(column, path)) is not None][:1]
     columns = [values_of(wanted[name]) for name in names.values()]
     return contents.with_columns(names, columns, attrs=attrs, flags=flags)
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names and units of the columns of the LabVIEW file at ``path``, and the rate that they or the header state.
-
-    ``settings`` give the byte limit. Raises what :func:`read` raises for the headers.
-    """
-    check_budget(path.stat().st_size, settings)
-    layout = _layout(path)
-
-    def first_times(time: _Column) -> FloatArray:
-        return _read(path, layout, time.segment, [time.place], settings, most=_FEW_LINES)[0]
-
-    return _timing(layout, layout.columns, first_times, path, settings)[0]
 
 
 def _layout(path: Path) -> _Layout:
@@ -290,7 +282,7 @@ def _timing(
     return (
         Contents.of("LVM", described, rate_uncertainty=attrs["rate_uncertainty"]),
         attrs,
-        [remark for number, remark in enumerate(flags) if remark not in flags[:number]],
+        flags,
     )
 
 

@@ -11,7 +11,7 @@ import fnmatch
 import re
 import stat
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, get_args
@@ -41,8 +41,7 @@ from crankorder.ingest.units import Unit
 
 _KEY = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"
 _HEADER = re.compile(rf"\s*(\[\[?)\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*\]\]?\s*(?:#.*)?")
-_ASSIGNMENT = re.compile(rf"\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*=(.*)")
-_TOKEN = re.compile(r'"""|' + r"'''|" + r'"(?:\\.|[^"\\])*"|' + r"'[^']*'|#.*|[\[\]{}]")
+_ASSIGNMENT = re.compile(rf"\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*=")
 
 COLUMNS = ("frequency_hz", "real", "imag")
 
@@ -63,77 +62,56 @@ _LONG_KEY = re.compile(r"^[^=\n\"'#\[]{1000,}=", re.MULTILINE)
 
 
 def key_lines(text: str) -> dict[str, int]:
-    """Line of every key and table of a valid TOML ``text``, by dotted key path with list positions from 0."""
+    """Line of every key and table of a valid TOML ``text``, by dotted key path with list positions from 0.
+
+    What looks like a key inside a string or a list is none: the text has no such path.
+    """
     lines: dict[str, int] = {}
     counts: dict[str, int] = {}
-    table, inside, depth = "", "", 0
+    table, known = "", set(_paths(tomllib.loads(text)))
     for number, line in enumerate(text.split("\n"), start=1):
-        rest = line
-        if not inside and depth == 0:
-            header = _HEADER.fullmatch(line)
-            if header:
-                table = _dotted(header[2])
-                lines.setdefault(table, number)
-                if header[1] == "[[":
-                    counts[table] = counts.get(table, -1) + 1
-                    table = f"{table}.{counts[table]}"
-                lines[table] = number
-                continue
-            key = _ASSIGNMENT.fullmatch(line)
-            if key is None:
-                continue
-            lines[f"{table}.{_dotted(key[1])}".lstrip(".")] = number
-            rest = key[2]
-        inside, depth = _open_at_end(rest, inside, depth)
+        header, key = _HEADER.fullmatch(line), _ASSIGNMENT.match(line)
+        if header and (name := _dotted(header[2])) in known:
+            lines.setdefault(name, number)
+            counts[name] = counts.get(name, -1) + 1
+            table = f"{name}.{counts[name]}" if header[1] == "[[" else name
+            lines[table] = number
+        elif key and (path := f"{table}.{_dotted(key[1])}".lstrip(".")) in known:
+            lines[path] = number
     return lines
 
 
-def _open_at_end(line: str, inside: str, depth: int) -> tuple[str, int]:
-    """Quotes of the string that is still open, and number of open brackets, after ``line``."""
-    position = 0
-    while True:
-        if inside:
-            end = line.find(inside, position)
-            if end < 0:
-                return inside, depth
-            position, inside = end + 3, ""
-        token = _TOKEN.search(line, position)
-        if token is None:
-            return "", depth
-        position = token.end()
-        if token[0] in ('"""', "'''"):
-            inside = token[0]
-        elif token[0] in "[{":
-            depth += 1
-        elif token[0] in "]}":
-            depth = max(0, depth - 1)
+def _paths(value: object, above: str = "") -> Iterator[str]:
+    """Dotted paths of all that a table or list holds."""
+    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in parts:
+        path = f"{above}.{key}".lstrip(".")
+        yield path
+        yield from _paths(inner, path)
 
 
 def _dotted(key: str) -> str:
     return re.sub(r"\s*\.\s*", ".", key).replace('"', "").replace("'", "")
 
 
-def path_faults(paths: tuple[StatedPath, ...], unit_of_channel: Mapping[str, Unit]) -> list[RequestError]:
+def path_faults(paths: tuple[StatedPath, ...], unit_of_channel: Mapping[str, Unit]) -> Iterator[RequestError]:
     """What is wrong with ``paths`` beside the channels: ``unit_of_channel`` gives the unit of each by name."""
-    faults: list[RequestError] = []
     seen: set[tuple[str, str]] = set()
     for number, path in enumerate(paths):
-        place = f"transfer_paths.{number}"
-        unit = unit_of_channel.get(path.channel)
+        place, unit = f"transfer_paths.{number}", unit_of_channel.get(path.channel)
         if unit is None:
-            where, allowed = f"{place}.channel", ", ".join(unit_of_channel)
-            faults.append(RequestError("no such channel", place=where, found=path.channel, allowed=allowed))
+            allowed = ", ".join(unit_of_channel)
+            yield RequestError("no such channel", place=f"{place}.channel", found=path.channel, allowed=allowed)
         elif unit.quantity != "acceleration":
             problem = f"a path in 1/kg needs a channel of acceleration, not of {unit.quantity}"
-            faults.append(RequestError(problem, place=f"{place}.channel", found=path.channel))
+            yield RequestError(problem, place=f"{place}.channel", found=path.channel)
         if (path.channel, path.direction) in seen:
             problem = f"a second path from {path.direction} to {path.channel}"
-            faults.append(RequestError(problem, place=place, remedy="State one path for each channel and direction"))
+            yield RequestError(problem, place=place, remedy="State one path for each channel and direction")
         seen.add((path.channel, path.direction))
         if path.points:
             problem, remedy = "points are read from the table", "Name a CSV file as table"
-            faults.append(RequestError(problem, place=f"{place}.points", remedy=remedy))
-    return faults
+            yield RequestError(problem, place=f"{place}.points", remedy=remedy)
 
 
 def with_tables(paths: tuple[StatedPath, ...], folder: Path) -> tuple[tuple[StatedPath, ...], list[RequestError]]:
@@ -398,7 +376,7 @@ def manifest_of(table: Mapping[str, object], path: Path, text: str = "") -> Mani
         several, lines = error.errors(include_url=False), key_lines(text)
         faults: list[CrankorderError] = [_fault(fault, path, lines) for fault in several[:MOST_TOLD]]
         raise ManyErrors(told(faults, len(several), file=path)) from None
-    crossed = _cross_faults(found)
+    crossed = list(_cross_faults(found))
     if crossed:
         lines = key_lines(text)
         faults = [_located(fault, path, lines) for fault in crossed[:MOST_TOLD]]
@@ -489,45 +467,40 @@ def _keys_of(model: type[BaseModel], location: tuple[str | int, ...]) -> list[st
     return list(model.model_fields)
 
 
-def _cross_faults(manifest: Manifest) -> list[RequestError]:
+def _cross_faults(manifest: Manifest) -> Iterator[RequestError]:
     """Faults that show only when several keys are seen together."""
-    faults: list[RequestError] = []
-    sampling = manifest.sampling
+    sampling, encoder, motor, test = manifest.sampling, manifest.encoder, manifest.motor, manifest.test
     if sampling.domain == "crank_angle" and sampling.samples_per_rev is None:
         problem = "samples by crank angle need samples_per_rev"
-        faults.append(RequestError(problem, place="sampling.samples_per_rev", remedy="Add it"))
+        yield RequestError(problem, place="sampling.samples_per_rev", remedy="Add it")
     # checked here and not by the model, which would count a channel with a fault as none
     if not manifest.recordings.files:
-        faults.append(RequestError("the list is empty", place="recordings.files", allowed="1 or more"))
-    if not manifest.channels and manifest.encoder.kind not in (*TRACE_KINDS, *TIME_KINDS):
+        yield RequestError("the list is empty", place="recordings.files", allowed="1 or more")
+    if not manifest.channels and encoder.kind not in (*TRACE_KINDS, *TIME_KINDS):
         allowed = f"1 or more; none only beside an encoder of kind {', '.join((*TRACE_KINDS, *TIME_KINDS))}"
-        faults.append(RequestError("no channel is named", place="channels", allowed=allowed, remedy="Add [[channels]]"))
-    for part in NAMED_PART.findall(manifest.encoder.file or ""):
+        yield RequestError("no channel is named", place="channels", allowed=allowed, remedy="Add [[channels]]")
+    for part in NAMED_PART.findall(encoder.file or ""):
         common = set.intersection(*(set(NAMED_PART.findall(pattern)) for pattern in manifest.recordings.files))
         if part not in common:
             problem, shown = "a part of the name that recordings.files does not have", f"{{{part}}}"
             allowed = ", ".join(f"{{{name}}}" for name in sorted(common)) or "* alone"
             remedy = f"Write {shown} in each pattern of recordings.files where the names of recordings differ"
-            faults.append(RequestError(problem, place="encoder.file", found=shown, allowed=allowed, remedy=remedy))
-    seen: dict[str, int] = {}
+            yield RequestError(problem, place="encoder.file", found=shown, allowed=allowed, remedy=remedy)
+    named: dict[str, Channel] = {}
     for number, channel in enumerate(manifest.channels):
-        if channel.name in seen:
+        if channel.name in named:
             place = f"channels.{number}.name"
-            faults.append(RequestError("two channels have the same name", place=place, found=channel.name))
-        seen[channel.name] = number
-        faults += channel_faults(channel, f"channels.{number}")
+            yield RequestError("two channels have the same name", place=place, found=channel.name)
+        named[channel.name] = channel
+        yield from channel_faults(channel, f"channels.{number}")
     for number, bearing in enumerate(manifest.bearings):
         if bearing_orders(bearing).keys() <= {"N*fs"}:
             needs = "a designation, rolling_elements and ball_over_pitch, or published orders (bpfo, bpfi, bsf, ftf)"
-            faults.append(RequestError(f"a bearing needs {needs}", place=f"bearings.{number}"))
-    motor = manifest.motor
+            yield RequestError(f"a bearing needs {needs}", place=f"bearings.{number}")
     if motor is not None and motor.poles is None and motor.rotor_bars is None and motor.stator_slots is None:
         remedy = "Add poles, as the nameplate's speed tells (4 at 50 Hz: somewhat below 1500 rpm), or rotor_bars"
-        faults.append(RequestError("a motor needs poles, rotor_bars or stator_slots", place="motor", remedy=remedy))
-    named = {channel.name: channel for channel in manifest.channels}
-    faults += limit_faults(manifest.limits, named, manifest.rotor, manifest.sampling.rate_hz)
-    faults += path_faults(manifest.transfer_paths, {name: channel.analysed_unit for name, channel in named.items()})
-    speeds_stated, cycle = bool(manifest.recordings.speed_rpm), manifest.test.cycle
-    return faults + encoder_faults(
-        manifest.encoder, cycle=cycle, domain=manifest.sampling.domain, speeds_stated=speeds_stated
-    )
+        yield RequestError("a motor needs poles, rotor_bars or stator_slots", place="motor", remedy=remedy)
+    yield from limit_faults(manifest.limits, named, manifest.rotor, sampling.rate_hz)
+    yield from path_faults(manifest.transfer_paths, {name: channel.analysed_unit for name, channel in named.items()})
+    stated = bool(manifest.recordings.speed_rpm)
+    yield from encoder_faults(encoder, cycle=test.cycle, domain=sampling.domain, speeds_stated=stated)

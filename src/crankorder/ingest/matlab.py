@@ -55,25 +55,6 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     A source is such a name, a pattern that fits one, or a position in the file, single numbers last; ``settings`` give
     the byte and object limits. Raises InputError for damage or a missing name, UnsafeInputError for impossible sizes.
     """
-    contents, columns, twice = _parsed(path, sources, settings)
-    names = names_of(sources, contents.names, path)
-    detail = "written twice, the last is read: " + ", ".join(twice)
-    flags = [flag(path, "variable_written_twice", "info", detail)] if twice else []
-    return contents.with_columns(names, [columns[name] for name in names.values()], flags=flags)
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names and lengths of the numeric columns of the MATLAB file at ``path``, single numbers last, and their rates.
-
-    ``settings`` give the byte and object limits. Raises what :func:`read` raises.
-    """
-    return _parsed(path, (), settings)[0]
-
-
-def _parsed(
-    path: Path, sources: Sequence[Source], settings: IngestSettings
-) -> tuple[Contents, dict[str, FloatArray], list[str]]:
-    """Contents of the file, columns by name that ``sources`` ask for, and names of variables that it holds twice."""
 
     def parse() -> tuple[Contents, dict[str, FloatArray], list[str]]:
         variables, twice = _variables(path, settings)
@@ -94,7 +75,11 @@ def _parsed(
         return _contents(columns, scalars), floats, twice
 
     n_bytes = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
-    return in_child(parse, path, n_bytes=n_bytes)
+    contents, columns, twice = in_child(parse, path, n_bytes=n_bytes)
+    names = names_of(sources, contents.names, path)
+    detail = "written twice, the last is read: " + ", ".join(twice)
+    flags = [flag(path, "variable_written_twice", "info", detail)] if twice else []
+    return contents.with_columns(names, [columns[name] for name in names.values()], flags=flags)
 
 
 def _variables(path: Path, settings: IngestSettings) -> tuple[dict[str, Any], list[str]]:

@@ -10,7 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.errors import InputError, UnsafeInputError
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, float_type_for, named, part_of, rows_for
+from crankorder.ingest.rawfile import (
+    Contents,
+    RawFile,
+    Source,
+    check_budget,
+    float_type_for,
+    names_of,
+    part_of,
+    rows_for,
+)
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
@@ -25,25 +34,19 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     impossible sizes.
     """
     whole = _table(path, settings)
-    names, table = _names(whole), whole[part_of(len(whole), rows)]
-    wanted = [names.index(named(source, names, path)) for source in sources]
+    names = whole.dtype.names or tuple(str(number) for number in range(whole.shape[1]))
+    table = whole[part_of(len(whole), rows)]
+    chosen = names_of(sources, names, path)
+    wanted = [names.index(name) for name in chosen.values()]
     target = float_type_for(table.dtype)
     kinds = [(len(table), float_type_for(table.dtype[index]) if table.dtype.names else target) for index in wanted]
     room = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
-    for part in blocks(len(table)):
+    for part in blocks(len(table) if wanted else 0):
         piece = table[part]  # a column of an interleaved table costs as much as all of it: each page is read once
         for index, row in zip(wanted, room, strict=True):
             row[part] = piece[names[index]] if table.dtype.names else piece[:, index]
-    return RawFile(columns=dict(zip(sources, room, strict=True)))
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Numbers (or field names) and lengths of the channels of the array at ``path``; reads its header only.
-
-    ``settings`` give the byte limit. Raises what :func:`read` raises.
-    """
-    table = _table(path, settings)
-    return Contents(format="NumPy", names=_names(table), samples=dict.fromkeys(_names(table), len(table)))
+    stated = Contents("NumPy", names, samples=dict.fromkeys(names, len(whole)))
+    return stated.with_columns(chosen, room)
 
 
 def _table(path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
@@ -75,7 +78,3 @@ def _table(path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
         return table.reshape(-1)
     table = table.reshape(-1, 1) if table.ndim < 2 else table
     return table.T if table.shape[1] > table.shape[0] else table
-
-
-def _names(table: npt.NDArray[Any]) -> tuple[str, ...]:
-    return table.dtype.names or tuple(str(number) for number in range(table.shape[1]))

@@ -81,14 +81,17 @@ class Contents:
     def with_columns(self, names: Mapping[Source, str], columns: Iterable[FloatArray], **further: Any) -> RawFile:
         """The ``columns`` that were asked for, ``names`` by source, with what this says of each.
 
-        ``further``: attributes and flags of the RawFile.
+        ``further``: attributes and flags of the RawFile, of which each is kept once.
         """
+        flags = further.pop("flags", [])
         return RawFile(
             columns=dict(zip(names, columns, strict=True)),
+            contents=self,
             units=_by_source(names, self.units),
             rates_hz=_by_source(names, self.rates_hz),
             starts_s=_by_source(names, self.starts_s),
             rate_uncertainty=self.rate_uncertainty,
+            flags=[remark for number, remark in enumerate(flags) if remark not in flags[:number]],
             **further,
         )
 
@@ -105,6 +108,7 @@ class RawFile:
     asked for one after the other may be neighbouring rows of one block, so that they can be stacked without a copy.
     ``rates_hz``: samples per second of each, where the file states it; ``starts_s``: time of the first sample of each
     on the one clock of the file, 0 where it states none. ``rate_uncertainty`` is that of :class:`Contents`.
+    ``contents``: what the file holds besides; nothing of arrays.
     """
 
     columns: Mapping[Source, FloatArray]
@@ -114,6 +118,7 @@ class RawFile:
     rate_uncertainty: float = 0.0
     attrs: Mapping[str, float] = field(default_factory=dict)
     flags: list[QualityFlag] = field(default_factory=list)
+    contents: Contents = field(default_factory=lambda: Contents("", ()))
 
 
 def flag(path: Path, name: str, severity: Severity, detail: str) -> QualityFlag:

@@ -1,4 +1,8 @@
-"""Faults of all channels of a recording: what is lost is left out, the rest is flagged with when and how much."""
+"""Faults of all channels of a recording: what is lost is left out, the rest is flagged with when and how much.
+
+Beside what a signal shows by itself: spikes, clipping that a filter smoothed, and what only a look at the other
+channels tells: dead, a copy, mains alone, a step of the level.
+"""
 
 from __future__ import annotations
 
@@ -10,26 +14,40 @@ from pathlib import Path
 
 import numpy as np
 
-from crankorder.ingest.channel_faults import (
-    Runs,
+from crankorder.fft.windows import hann
+from crankorder.ingest.rawfile import FloatArray, flag
+from crankorder.ingest.signal_faults import (
     SignalFault,
     Survey,
     block_size,
-    find_copies,
-    find_dead,
-    find_level_steps,
-    find_mains_only,
     find_slow_faults,
     grouped,
     joined,
-    runs_of,
+    lengths_of,
+    root_mean_square,
+    spans_of,
     survey,
 )
-from crankorder.ingest.rawfile import FloatArray, flag
 from crankorder.quantities import Floats, Ints, QualityFlag
-from crankorder.settings import IngestSettings, MethodNumbers
+from crankorder.scratch import blocks
+from crankorder.settings import IngestSettings
 
-_PIECE, _PIECES = 2048, 8
+_LOOK = 8192
+"""Samples in which the lines of the others are looked for."""
+_LINES = 6
+_STANDS_OUT = 10.0
+"""Power of a line over the median about it."""
+_SERIES = 2048
+_MULTIPLES = 4
+_OFF_MAINS = 0.01
+"""Mains and a half order of the shaft closer than this share are not told apart."""
+_PIECES = 64
+_EDGE = 6
+"""Pieces before and behind a step at least."""
+_AGREE = 0.2
+"""Share of the step that either level may scatter by, and that the others may move."""
+
+_PIECE, _STRONGEST = 2048, 8
 """Samples of a piece, and how many of the strongest pieces are looked at."""
 _ABOVE = (0.0005, 0.002, 0.005, 0.01, 0.02, 0.04, 0.08)
 """Shares of the samples above the level that is tried: what a filter rings lies above the plateau."""
@@ -71,18 +89,194 @@ MAY_HAVE_LEVELS = frozenset(
 _IMPACTS = frozenset({"force"})
 
 
-def find_smoothed_clipping(
-    signal: FloatArray, survey: Survey, *, settings: IngestSettings, without_doubt: bool
-) -> list[SignalFault]:
-    """Clipping of ``signal`` (sample,) at levels that no two samples need share; only a doubt where one side has it.
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """A channel of a recording: its ``samples`` (sample,) and what short blocks of them hold; ``faults`` take more.
 
-    ``survey`` says where the signal is strongest, ``settings`` what a plateau is. The rest of the vibration must be
-    smaller on the plateaus than between them for it to be "bad", and the quantity one that has no plateaus of its own
-    (``without_doubt``).
+    ``size`` is the root mean square, NaN where too much is missing.
     """
-    samples = _strongest(signal, survey)
+
+    name: str
+    quantity: str
+    unit: str
+    samples: FloatArray
+    survey: Survey
+    size: float
+    faults: list[SignalFault]
+
+    @property
+    def is_left(self) -> bool:
+        """Whether anything of the channel is left."""
+        return not any(fault.loses_all for fault in self.faults)
+
+    @property
+    def is_vibration(self) -> bool:
+        """Whether the channel has neither a level nor plateaus of its own: what shows either is a fault."""
+        return self.quantity in VIBRATION
+
+
+def find_copies(channels: Sequence[_Channel]) -> None:
+    """Tell each of the ``channels`` that equals an earlier one."""
+    n_samples = channels[0].samples.size
+    step = max(n_samples // 64, 1)
+    for number, later in enumerate(channels):
+        for earlier in channels[:number]:
+            few = later.samples[::step]
+            if not np.array_equal(earlier.samples[::step], few) or not np.ptp(few) > 0.0:
+                continue
+            if all(np.array_equal(earlier.samples[part], later.samples[part]) for part in blocks(n_samples)):
+                detail = f"the same samples as channel {earlier.name}: one of the two was not measured"
+                later.faults.append(SignalFault("copied_channel", "suspect", detail))
+                break
+
+
+def find_dead(channels: Sequence[_Channel], *, settings: IngestSettings) -> None:
+    """Tell those of the ``channels`` that hold noise alone while others of their unit see the machine.
+
+    Dead is one far below the middle of the others (``settings``) in which none of the strongest lines of the loudest
+    stands out, whether it toggles between a few steps of the converter or not.
+    """
+    for own in channels:
+        others = [each for each in channels if each.unit == own.unit and each is not own and each.size > 0.0]
+        typical = float(np.median([each.size for each in others])) if others else 0.0
+        if not 0.0 < own.size <= settings.dead_ratio * typical:
+            continue
+        if not _shows_lines(own.samples, max(others, key=lambda each: each.size).samples):
+            steps = _steps(own.samples)
+            rest = f"within {steps} steps of its converter" if steps <= settings.dead_steps else "noise alone"
+            below = f"{typical / own.size:.3g} times below the others, none of whose lines it shows"
+            detail = f"{rest}, {below}: dead or not connected"
+            own.faults.append(SignalFault("dead_sensor", "bad", detail, is_lost=True))
+
+
+def _steps(signal: FloatArray) -> int:
+    """Rounding steps between the least and the greatest of some samples, so far as they can be counted."""
+    piece = signal[signal.size // 2 :][:_LOOK].astype(np.float64)
+    step = np.diff(np.unique(piece[np.isfinite(piece)]))
+    return int(min(round(float(step.sum() / step.min())), 10**9)) if step.size else 0
+
+
+def _shows_lines(quiet: FloatArray, loud: FloatArray) -> bool:
+    """Whether one of the strongest lines of ``loud`` stands out in ``quiet``, or ``loud`` has none."""
+    length = min(_LOOK, quiet.size)
+    starts = np.unique(np.linspace(0, quiet.size - length, 4).astype(np.int64))
+    window = hann(length).values
+    powers = []
+    for signal in (quiet, loud):
+        pieces = np.stack([signal[start : start + length] for start in starts]).astype(np.float64)
+        pieces = pieces[np.isfinite(pieces).all(axis=1)]
+        if not len(pieces):
+            return True
+        pieces -= pieces.mean(axis=1, keepdims=True)
+        powers.append(np.square(np.abs(np.fft.rfft(pieces * window, axis=1))).mean(axis=0)[3:])
+    order = np.argsort(powers[1])[::-1][: 8 * _LINES]
+    places = [int(k) for k in order if _over_floor(powers[1], int(k)) > _STANDS_OUT][:_LINES]
+    return not places or max(_over_floor(powers[0], place) for place in places) > _STANDS_OUT / 2.0
+
+
+def _over_floor(power: Floats, place: int) -> float:
+    near = power[max(place - 40, 0) : place + 41]
+    return float(power[max(place - 1, 0) : place + 2].max()) / max(float(np.median(near)), 1e-300)
+
+
+def find_mains_only(channels: Sequence[_Channel], rate_hz: float, shaft_hz: float, *, settings: IngestSettings) -> None:
+    """Tell those of the ``channels`` that hold mains, its multiples and noise, while others hold other lines.
+
+    They are sampled at ``rate_hz`` and judged by ``settings``. ``shaft_hz``: of the shaft, 0 for none; NaN where
+    unknown, and then nothing is told, nor where an order of the shaft lies on mains.
+    """
+    if not math.isfinite(shaft_hz) or not math.isfinite(rate_hz):
+        return
+    series = np.stack([each.survey.means[: 8 * _SERIES] for each in channels])
+    series = np.nan_to_num(series - np.nanmean(series, axis=1, keepdims=True))
+    series_hz = rate_hz / channels[0].survey.size
+    if len(series[0]) < _SERIES // 8 or len(series[0]) / series_hz < 1.0:
+        return
+    squares = np.square([each.size for each in channels])
+    for mains_hz in (50.0, 60.0):
+        if shaft_hz > 0.0 and abs((ratio := 2.0 * mains_hz / shaft_hz) - round(ratio)) < _OFF_MAINS * ratio:
+            continue
+        of_mains = _mains_power(series[:, :_SERIES], series_hz, mains_hz) / squares > settings.mains_share
+        if not of_mains.any() or of_mains.all():
+            continue
+        beside = np.array([_lines_beside(row, series_hz, mains_hz) for row in series]) / squares
+        detail = f"{mains_hz:g} Hz, its multiples and noise alone, while others show the machine: pick-up, no sensor"
+        for number in np.flatnonzero(of_mains & (beside < 0.01) & (beside[~of_mains].max() > 0.2)):
+            channels[int(number)].faults.append(SignalFault("mains_only", "suspect", detail))
+        return
+
+
+def _mains_power(series: Floats, series_hz: float, mains_hz: float) -> Floats:
+    """Mean square (channel,) of mains and its multiples in ``series`` (channel, sample)."""
+    window = hann(series.shape[1]).values
+    turn = np.exp(-2j * np.pi * mains_hz / series_hz * np.arange(series.shape[1]))
+    power, turns = np.zeros(len(series)), np.ones_like(turn)
+    for _ in range(int(min(_MULTIPLES, 0.45 * series_hz / mains_hz))):
+        turns = turns * turn
+        power += 2.0 * np.square(np.abs((series * window) @ turns) / window.sum())
+    return power
+
+
+def _lines_beside(row: Floats, series_hz: float, mains_hz: float) -> float:
+    """Mean square of the lines in ``row`` that lie on no multiple of mains."""
+    window = hann(len(row)).values
+    power = 2.0 * np.square(np.abs(np.fft.rfft(row * window))) / (len(row) * float(window @ window))
+    frequency = np.arange(len(power)) * (series_hz / len(row))
+    width = 4.0 * series_hz / len(row)
+    off = np.abs(frequency - mains_hz * np.round(frequency / mains_hz)) > width + 2e-3 * frequency
+    off &= frequency > width
+    floor = float(np.median(power[off])) if off.any() else 0.0
+    return float(power[off & (power > 5.0 * _STANDS_OUT * floor)].sum())
+
+
+def find_level_steps(channels: Sequence[_Channel], *, settings: IngestSettings) -> None:
+    """Tell those of the ``channels`` whose level steps (``settings``) beside all others."""
+    surveys = [channel.survey for channel in channels]
+    group = len(surveys[0].means) // _PIECES
+    if group < 4:
+        return
+    squares = np.stack([grouped(own.variances + (own.means - np.nanmean(own.means)) ** 2, group) for own in surveys])
+    if not (np.isfinite(squares).all() and (squares > 0.0).all()):
+        return
+    levels = 0.5 * np.log(squares)
+    for number, level in enumerate(levels):
+        rest = np.median(np.delete(levels, number, axis=0), axis=0)
+        at, step = _largest_step(level)
+        if abs(step) < np.log(settings.level_ratio):
+            continue
+        before, after = level[: at - 1], level[at + 1 :]
+        scatter = max(before.std(), after.std())
+        moved = abs(float(np.median(rest[at:]) - np.median(rest[:at])))
+        abrupt = abs(float(level[at + 1] - level[at - 2]))
+        if scatter > _AGREE * abs(step) or moved > _AGREE * abs(step) or abrupt < 0.7 * abs(step):
+            continue
+        samples = at * group * surveys[number].size
+        factor, span = f"a factor of {np.exp(step):.3g}", spans_of((samples, surveys[number].n_samples))
+        detail = f"the level changes by {factor} at once, that of the others does not: gain or seat"
+        channels[number].faults.append(SignalFault("level_step", "suspect", detail, span))
+
+
+def _largest_step(level: np.ndarray) -> tuple[int, float]:
+    """First piece behind the best split of ``level`` (piece,) in two, and the step there."""
+    splits = np.arange(_EDGE, len(level) - _EDGE + 1)
+    total = np.cumsum(level)
+    before = total[splits - 1] / splits
+    after = (total[-1] - total[splits - 1]) / (len(level) - splits)
+    gain = np.square(after - before) * splits * (len(level) - splits)
+    best = int(np.argmax(gain))
+    return int(splits[best]), float(after[best] - before[best])
+
+
+def find_smoothed_clipping(channel: _Channel, *, settings: IngestSettings) -> None:
+    """Tell clipping of a ``channel`` at levels that no two samples need share; only a doubt where one side has it.
+
+    ``settings`` say what a plateau is. The rest of the vibration must be smaller on the plateaus than between them for
+    it to be "bad", and the quantity one that has no plateaus of its own.
+    """
+    without_doubt = channel.is_vibration
+    samples = _strongest(channel.samples, channel.survey)
     if samples.size < _PIECE:
-        return []
+        return
     places = (samples.size * (1.0 - np.array(_ABOVE))).astype(np.int64)
     ordered = np.partition(samples, np.concatenate([places, samples.size - 1 - places, [samples.size // 2]]))
     middle = float(ordered[samples.size // 2])
@@ -90,7 +284,7 @@ def find_smoothed_clipping(
     sides = [_pile_up(sign * apart, sign * ordered[at], settings) for sign, at in ((1, places), (-1, -1 - places))]
     plateaus = [(sign, *side) for sign, side in zip((1.0, -1.0), sides, strict=True) if side is not None]
     if not plateaus or (len(plateaus) < 2 and not without_doubt):
-        return []
+        return
     levels = " and ".join(f"{middle + sign * level:.4g}" for sign, level, _, _ in plateaus)
     share = sum(share for _, _, share, _ in plateaus)
     quiet = all(roughness < settings.quiet_plateau for *_, roughness in plateaus)
@@ -99,7 +293,7 @@ def find_smoothed_clipping(
         f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later: cut off before "
         "the filter, so odd multiples of its lines may be made up"
     )
-    return [SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure)]
+    channel.faults.append(SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure))
 
 
 def _strongest(signal: FloatArray, survey: Survey) -> FloatArray:
@@ -108,7 +302,7 @@ def _strongest(signal: FloatArray, survey: Survey) -> FloatArray:
     mean = float(np.nanmean(survey.means))
     power = grouped(survey.variances + np.square(survey.means - mean), group)
     power = np.where(np.isfinite(power), power, -1.0)
-    chosen = np.sort(np.argsort(power)[-_PIECES:])
+    chosen = np.sort(np.argsort(power)[-_STRONGEST:])
     chosen = chosen[power[chosen] > 0.0]
     return np.concatenate([np.empty(0, signal.dtype), *(signal[k * _PIECE : (k + 1) * _PIECE] for k in chosen)])
 
@@ -169,35 +363,32 @@ def _turns_smoothly(above: FloatArray, edges: Ints, lag: int) -> bool:
     return bool(float(np.median(bends[1])) > 2.0**1.5 * float(np.median(bends[0])))
 
 
-def find_spikes(
-    signal: FloatArray, survey: Survey, *, settings: IngestSettings, may_pulse: bool
-) -> tuple[SignalFault, Runs, Floats] | None:
-    """The spikes of ``signal`` (sample,), their samples and, one after the other, what these would be without them.
+def find_spikes(channel: _Channel, *, settings: IngestSettings) -> None:
+    """Tell the spikes of a ``channel``, and bridge them in place.
 
-    ``survey`` and ``settings`` say where to look and what stands out. A polynomial through 20 neighbours predicts
-    the middle; the spike stands ``spike_ratio`` times further off it than any neighbour does, and above the root mean
-    square of the signal. A strike or a knock rings through the neighbours.
-    With ``may_pulse`` spikes that all look alike are taken for the signal itself.
+    ``settings`` say what stands out. A polynomial through 20 neighbours predicts the middle; the spike stands
+    ``spike_ratio`` times further off it than any neighbour does, and above the root mean square of the signal. A strike
+    or a knock rings through the neighbours. In what is no vibration spikes that all look alike are the signal itself.
     """
+    signal, survey = channel.samples, channel.survey
     places = _candidates(signal, survey)
     if not places.size:
-        return None
+        return
     level = math.sqrt(float(np.nanmedian(survey.variances)) + float(np.nanvar(survey.means)))
     places, deviations, predicted = _standing_out(signal, places, level, settings)
-    if not places.size or (may_pulse and _look_like_pulses(places, deviations)):
-        return None
+    if not places.size or (not channel.is_vibration and _look_like_pulses(places, deviations)):
+        return
     offsets = np.arange(-_AHEAD, _AHEAD + 1)
     hit = np.abs(deviations) > 0.25 * np.abs(deviations).max(axis=1, keepdims=True)
     samples, first = np.unique((places[:, None] + offsets)[hit], return_index=True)
-    values = predicted[hit][first]
-    edges = np.flatnonzero(np.diff(samples) > 1)
-    runs = Runs(samples[np.append(0, edges + 1)], samples[np.append(edges, samples.size - 1)] + 1)
+    signal[samples] = predicted[hit][first]
+    spikes = joined([np.column_stack([samples, samples + 1])], n_samples=signal.size)
     height = float(np.abs(deviations).max())
     detail = (
-        f"{runs.starts.size} spike{'s' * (runs.starts.size > 1)} of one to three samples, up to {height:.4g} "
+        f"{len(spikes)} spike{'s' * (len(spikes) > 1)} of one to three samples, up to {height:.4g} "
         f"({height / level:.3g} times the root mean square), after which nothing rings"
     )
-    return SignalFault("spikes", "suspect", detail, runs), runs, values
+    channel.faults.append(SignalFault("spikes", "suspect", detail, spikes))
 
 
 def _candidates(signal: FloatArray, survey: Survey) -> Ints:
@@ -280,9 +471,9 @@ class Sampled:
     rate_hz: float
     shaft_hz: float
 
-    def span(self, at: Runs, n_samples: int) -> tuple[float, float]:
+    def span(self, at: Ints, n_samples: int) -> tuple[float, float]:
         """From when to when ``at`` reaches, all of the ``n_samples`` where it names none."""
-        first, last = (int(at.starts.min()), int(at.ends.max())) if at.starts.size else (0, n_samples)
+        first, last = (int(at.min()), int(at.max())) if len(at) else (0, n_samples)
         return self.start + first / self.rate, self.start + last / self.rate
 
 
@@ -302,98 +493,73 @@ def judged(
             faults[number] = [
                 replace(fault, severity="suspect", is_lost=False) if fault.flag == "few_levels" else fault
                 for fault in known[number]
-                if fault.flag != "clipped" or int(fault.at.lengths.sum()) <= 0.5 * n_samples
+                if fault.flag != "clipped" or int(lengths_of(fault.at).sum()) <= 0.5 * n_samples
             ]
-    size = block_size(sampled.rate_hz)
     if n_samples >= settings.fewest_samples:
-        surveys = [survey(row, size=size) for row in signals]
-        for number, row in enumerate(signals):
-            if not any(fault.is_lost and not fault.at.starts.size for fault in faults[number]):
-                faults[number] += _of_one(row, surveys[number], sampled.quantities[number], faults[number], settings)
-        _beside_each_other(signals, surveys, faults, sampled, settings)
+        _judge(signals, faults, sampled, settings)
     lost = [_lost(own, n_samples, sampled, settings) for own in faults]
     is_out = [_is_out(runs, n_samples, settings) for runs in lost]
     flags: list[QualityFlag] = []
     for number, own in enumerate(faults):
         if not all(is_out):
-            runs = runs_of((0, n_samples)) if is_out[number] else lost[number]
-            for start, end in zip(runs.starts, runs.ends, strict=True):
+            for start, end in spans_of((0, n_samples)) if is_out[number] else lost[number]:
                 signals[number, start:end] = np.nan
         share = _share_lost(lost[number], n_samples, sampled, settings) if is_out[number] else ""
         for fault in own:
             flags.append(_flag(fault, sampled, number, path, n_samples))
-            if fault.is_lost and fault.at.starts.size:
+            if fault.is_lost and len(fault.at):
                 flags[-1]["detail"] += share
             if fault.is_lost and not all(is_out):
                 flags[-1]["left_out"] = "channel" if is_out[number] else "stretch"
     return flags
 
 
-def _of_one(
-    row: FloatArray, seen: Survey, quantity: str, known: list[SignalFault], settings: IngestSettings
-) -> list[SignalFault]:
-    """Faults that a channel shows by itself; its spikes are bridged."""
-    found: list[SignalFault] = []
-    is_vibration = quantity in VIBRATION
-    if quantity not in _IMPACTS and not any(fault.flag == "clipped" for fault in known):
-        spikes = find_spikes(row, seen, settings=settings, may_pulse=not is_vibration)
-        if spikes is not None:
-            fault, runs, values = spikes
-            row[np.concatenate([np.arange(*ends) for ends in zip(runs.starts, runs.ends, strict=True)])] = values
-            found.append(fault)
-    if is_vibration:
-        found += find_slow_faults(seen, settings=settings)
-    told_already = any(fault.flag in ("clipped", "iepe_overload") for fault in (*known, *found))
-    if not told_already and (is_vibration or quantity == "pressure"):
-        found += find_smoothed_clipping(row, seen, settings=settings, without_doubt=is_vibration)
-    return found
-
-
-def _beside_each_other(
-    signals: FloatArray,
-    surveys: Sequence[Survey],
-    faults: list[list[SignalFault]],
-    sampled: Sampled,
-    settings: IngestSettings,
+def _judge(
+    signals: FloatArray, faults: Sequence[list[SignalFault]], sampled: Sampled, settings: IngestSettings
 ) -> None:
-    """Add what only a look at all channels together tells to their ``faults``."""
-    alive = [k for k, own in enumerate(faults) if not any(f.is_lost and not f.at.starts.size for f in own)]
-    vibrating = [k for k in alive if sampled.quantities[k] in VIBRATION]
-    rows, units = [surveys[k] for k in vibrating], [sampled.units[k] for k in vibrating]
-    told = [(list(range(len(signals))), find_copies(signals, sampled.names))]
+    """Add to the ``faults`` of each channel what it shows by itself and beside the others; spikes are bridged."""
+    surveys = [survey(row, size=block_size(sampled.rate_hz)) for row in signals]
+    sizes = map(root_mean_square, surveys)
+    told = zip(sampled.names, sampled.quantities, sampled.units, signals, surveys, sizes, faults, strict=True)
+    channels = [_Channel(*each) for each in told]
+    for channel in (channel for channel in channels if channel.is_left):
+        if channel.quantity not in _IMPACTS and not any(fault.flag == "clipped" for fault in channel.faults):
+            find_spikes(channel, settings=settings)
+        if channel.is_vibration:
+            channel.faults.extend(find_slow_faults(channel.survey, settings=settings))
+        told_already = any(fault.flag in ("clipped", "iepe_overload") for fault in channel.faults)
+        if not told_already and (channel.is_vibration or channel.quantity == "pressure"):
+            find_smoothed_clipping(channel, settings=settings)
+    vibrating = [channel for channel in channels if channel.is_vibration and channel.is_left]
+    find_copies(channels)
     if len(vibrating) > 1:
-        chosen = signals if len(vibrating) == len(signals) else signals[vibrating]
-        told.append((vibrating, find_dead(chosen, rows, units, settings=settings)))
-        told.append((vibrating, find_level_steps(rows, settings=settings)))
-        if math.isfinite(sampled.rate_hz):
-            told.append((vibrating, find_mains_only(rows, sampled.rate_hz, sampled.shaft_hz, settings=settings)))
-    for numbers, found in told:
-        for number, fault in found.items():
-            faults[numbers[number]].append(fault)
+        find_dead(vibrating, settings=settings)
+        find_level_steps(vibrating, settings=settings)
+        find_mains_only(vibrating, sampled.rate_hz, sampled.shaft_hz, settings=settings)
 
 
-def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: IngestSettings) -> Runs:
+def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: IngestSettings) -> Ints:
     """Samples that take no part in averages, with a margin about each stretch."""
     margin = max(round(settings.lost_margin_s * sampled.rate_hz), 1) if math.isfinite(sampled.rate_hz) else 1
-    lost = [fault.at if fault.at.starts.size else runs_of((0, n_samples)) for fault in own if fault.is_lost]
-    return joined(lost).merged(within=margin, n_samples=n_samples)
+    lost = [spans_of((0, n_samples)) if fault.loses_all else fault.at for fault in own if fault.is_lost]
+    return joined(lost, within=margin, n_samples=n_samples)
 
 
-def _is_out(lost: Runs, n_samples: int, settings: IngestSettings) -> bool:
+def _is_out(lost: Ints, n_samples: int, settings: IngestSettings) -> bool:
     """Whether so much of ``n_samples`` is ``lost`` that nothing of the channel is kept.
 
     A stretch at the start or the end makes a recording shorter; what comes and goes inside it leaves the rest in doubt.
     """
-    at_end = (lost.starts == 0) | (lost.ends == n_samples)
-    kept = n_samples - int(lost.where(at_end).lengths.sum())
-    inside = int(lost.where(~at_end).lengths.sum())
+    at_end = (lost[:, 0] == 0) | (lost[:, 1] == n_samples)
+    kept = n_samples - int(lengths_of(lost[at_end]).sum())
+    inside = int(lengths_of(lost[~at_end]).sum())
     return kept < (1.0 - settings.max_lost_at_ends_fraction) * n_samples or inside > settings.max_lost_fraction * kept
 
 
-def _share_lost(lost: Runs, n_samples: int, sampled: Sampled, settings: IngestSettings) -> str:
+def _share_lost(lost: Ints, n_samples: int, sampled: Sampled, settings: IngestSettings) -> str:
     """How much of ``n_samples`` is ``lost`` with what lies about it, and how much may be."""
     about = f"with {settings.lost_margin_s:g} s about each" if math.isfinite(sampled.rate_hz) else "in all"
-    percent, allowed = 100.0 * int(lost.lengths.sum()) / n_samples, 100.0 * settings.max_lost_fraction
+    percent, allowed = 100.0 * int(lengths_of(lost).sum()) / n_samples, 100.0 * settings.max_lost_fraction
     return f": {about}, {percent:.2g} % of the channel is lost; allowed: {allowed:g} % between its ends"
 
 
@@ -403,38 +569,3 @@ def _flag(fault: SignalFault, sampled: Sampled, number: int, path: Path, n_sampl
     remark = flag(path, fault.flag, fault.severity, f"channel {name}: {fault.detail} {span}")
     remark["channel"], remark["begin"], remark["end"] = name, begin, end
     return remark
-
-
-NUMBERS = MethodNumbers("1-ingest-faults.toml", "direction")
-
-
-def direction_flags(levels: FloatArray, pulse_samples: Floats, path: Path, *, falling: bool) -> list[QualityFlag]:
-    """What the second track says of the direction of the recording at ``path``; nothing where the shaft turns forwards.
-
-    Forwards the first track leads by a quarter of a pulse: the second, ``levels`` (sample,), is still low where the
-    first rises and still high where it falls (``falling``: these are the pulses). ``pulse_samples`` (pulse,) is where
-    the pulses lie, in samples.
-    """
-    low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
-    at = np.floor(pulse_samples).astype(np.int64)
-    at = at[(at >= 0) & (at < levels.size)]
-    if at.size < NUMBERS.fewest_pulses or not high > low:
-        detail = "the second track says nothing of the direction: " + ("it is constant" if at.size else "no pulses")
-        return [flag(path, "direction_unknown", "info", detail)]
-    is_high = levels[at] > 0.5 * (low + high)
-    backwards = ~is_high if falling else is_high
-    share = float(np.mean(backwards))
-    if share <= 1.0 - NUMBERS.sure_share:
-        return []
-    if share >= NUMBERS.sure_share:
-        detail = (
-            f"the second track leads at {share:.1%} of the pulses: the shaft turns backwards, or the two tracks are "
-            "swapped; the angle is counted up all the same, so phases are those of the other direction"
-        )
-        return [flag(path, "turns_backwards", "suspect", detail)]
-    first = int(np.flatnonzero(np.diff(backwards))[0]) + 1
-    detail = (
-        f"the second track leads at {share:.1%} of the pulses, first another way at pulse {first}: the shaft changes "
-        "its direction, or too few samples lie between the pulses to tell"
-    )
-    return [flag(path, "direction_changes", "suspect", detail)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -95,15 +95,9 @@ def recording_of(
     ``listed``: columns of the file of the pulses, where they have one of their own.
     """
     flags = [*raw.flags, *(listed.flags if listed is not None else ())]
-    times = _times(raw, manifest, path, settings)
-    if times is not None:
-        n_rows = raw.columns[_time_source(manifest)].size
-        on_grid = {source: times.on_grid(row) for source, row in raw.columns.items() if row.size == n_rows}
-        first_s = raw.starts_s.get(_time_source(manifest))
-        own = {source: start for source, start in raw.starts_s.items() if first_s is not None or source not in on_grid}
-        lag_s = 0.0 if first_s is None else times.start_s - first_s
-        starts_s = dict.fromkeys(raw.columns, times.start_s) | {source: at + lag_s for source, at in own.items()}
-        raw = replace(raw, columns={**raw.columns, **on_grid}, starts_s=starts_s)
+    of = _File(path, manifest, settings, flags)
+    times = of.times(raw)
+    raw = raw if times is None else _on_grid(raw, times, manifest)
     bases, file_hz = bases_of(
         manifest.sampled,
         {source: row.size for source, row in raw.columns.items()},
@@ -111,7 +105,7 @@ def recording_of(
         len(manifest.channels),
         tolerance=settings.rate_tolerance,
     )
-    recording = _axis(raw, file_hz, times, manifest, path, settings, flags)
+    recording = of.axis(raw, file_hz, times)
     rate_hz = recording.number("rate_hz")
     check_bands(manifest.limits, rate_hz, path)
     channels = {channel.name: raw.columns[channel.file_source] for channel in manifest.channels}
@@ -122,30 +116,37 @@ def recording_of(
     base, base_flags = on_one_base(channels, bases, path, settings=settings)
     flags += base_flags
     ShaftSignals(listed or raw, manifest, path, shaft, bases, base, times, flags).add_to(recording)
-    has_stretches = times is not None and times.starts is not None
+    has_stretches = times is not None and times.offsets.any()
     if channels and manifest.encoder.kind in TRACE_KINDS and bases[ENCODER] == base and not has_stretches:
         laid_apart(recording, channels, path, flags)
     if manifest.of_shaft_alone:
         source = manifest.encoder.source
         # the samples of the encoder's trace; of listed times there are none
         n_samples = raw.columns[source].size if manifest.has_samples and source is not None else 0
-        signals = np.empty((0, n_samples), dtype=np.float32)
-        return _with_signals(recording, signals, manifest, flags)
+        return _with_signals(recording, np.empty((0, n_samples), dtype=np.float32), manifest, flags)
     signals = stacked(list(channels.values()))
     faults, scalings = [], list[Scaling]()
     for channel, row in zip(manifest.channels, signals, strict=True):
         faults.append(mend_signal(row, settings=settings))  # sentinels: in the file's own unit
         if times is not None:
             times.align(row)
-        scalings.append(_to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags))
+        scalings.append(of.to_analysed_unit(row, channel, raw.units.get(channel.file_source, "")))
     flags += judged(signals, faults, _sampled(recording, manifest, scalings), path, settings=settings)
-    for number, (row, channel, scaling) in enumerate(zip(signals, manifest.channels, scalings, strict=True)):
-        if scaling.integrals:
-            flags.append(_integrate(row, channel, scaling, recording, path, settings, f"channels.{number}"))
-        elif channel.highpass_hz is not None:
-            detail = f"channel {channel.name}: highpass_hz acts where a channel is integrated, which this one is not"
-            flags.append(flag(path, "highpass_unused", "suspect", detail))
+    for number, (row, scaling) in enumerate(zip(signals, scalings, strict=True)):
+        of.integrate(row, number, scaling, recording)
     return _with_signals(recording, signals, manifest, flags)
+
+
+def _on_grid(raw: RawFile, times: TimeColumn, manifest: Manifest) -> RawFile:
+    """``raw`` with the columns that its ``times`` are of on their uniform grid, and starts on their clock."""
+    source = manifest.sampling.time_source
+    assert source is not None  # the column that the times are of
+    n_rows, first_s = raw.columns[source].size, raw.starts_s.get(source)
+    on_grid = {source: times.on_grid(row) for source, row in raw.columns.items() if row.size == n_rows}
+    own = {source: start for source, start in raw.starts_s.items() if first_s is not None or source not in on_grid}
+    lag_s = 0.0 if first_s is None else times.start_s - first_s
+    starts_s = dict.fromkeys(raw.columns, times.start_s) | {source: at + lag_s for source, at in own.items()}
+    return replace(raw, columns={**raw.columns, **on_grid}, starts_s=starts_s)
 
 
 def _sampled(recording: Gathered, manifest: Manifest, scalings: Sequence[Scaling]) -> Sampled:
@@ -207,119 +208,108 @@ def _of_encoder(manifest: Manifest) -> list[Source]:
     return list(dict.fromkeys(source for source in sources if source is not None))
 
 
-def _time_source(manifest: Manifest) -> Source:
-    assert manifest.sampling.time_source is not None  # asked for only where there is one
-    return manifest.sampling.time_source
+@dataclass(frozen=True, slots=True)
+class _File:
+    """The file at ``path`` that becomes a Recording by ``manifest`` and ``settings``; ``flags`` take what is seen."""
 
+    path: Path
+    manifest: Manifest
+    settings: IngestSettings
+    flags: list[QualityFlag]
 
-def _times(raw: RawFile, manifest: Manifest, path: Path, settings: IngestSettings) -> TimeColumn | None:
-    """What the column of the samples' times says, None where there is none."""
-    sampling = manifest.sampling
-    # the times of an edge list are those of its edges, unless it is a file of its own
-    of_edges = manifest.encoder.kind == "edge_list" and manifest.encoder.file is None
-    if sampling.time_source is None or sampling.domain == "crank_angle" or of_edges or not manifest.has_samples:
-        return None
-    return read_time_column(seconds_of(raw, sampling.time_source), path, settings=settings)
+    def flag(self, name: str, severity: Severity, detail: str) -> None:
+        self.flags.append(flag(self.path, name, severity, detail))
 
+    def times(self, raw: RawFile) -> TimeColumn | None:
+        """What the column of the samples' times says, None where there is none."""
+        sampling, encoder = self.manifest.sampling, self.manifest.encoder
+        # the times of an edge list are those of its edges, unless it is a file of its own
+        of_edges = encoder.kind == "edge_list" and encoder.file is None
+        by_angle = sampling.domain == "crank_angle"
+        if sampling.time_source is None or by_angle or of_edges or not self.manifest.has_samples:
+            return None
+        return read_time_column(seconds_of(raw, sampling.time_source), self.path, settings=self.settings)
 
-def _axis(
-    raw: RawFile,
-    file_hz: float | None,
-    times: TimeColumn | None,
-    manifest: Manifest,
-    path: Path,
-    settings: IngestSettings,
-    flags: list[QualityFlag],
-) -> Gathered:
-    """A recording with the attributes of the sampling alone, ``rate_hz`` among them where it has one.
+    def axis(self, raw: RawFile, file_hz: float | None, times: TimeColumn | None) -> Gathered:
+        """A recording with the attributes of the sampling alone, ``rate_hz`` among them where it has one.
 
-    ``flags`` take where the file contradicts itself on its rate, or states it to a few decimals and nothing else tells.
-    """
-    sampling = manifest.sampling
-    attrs: dict[str, Attribute] = {"recording": manifest.name_of(path), "domain": sampling.domain}
-    attrs["revs_per_cycle"] = manifest.revs_per_cycle
-    if manifest.test.cycle == "none":
-        attrs["has_shaft"] = 0
-    if sampling.domain == "crank_angle":
-        assert sampling.samples_per_rev is not None  # the manifest states it of this domain
-        attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
-    if sampling.domain == "crank_angle" or not manifest.has_samples:
+        Flags say where the file contradicts itself on its rate, or states it to a few decimals and nothing else tells.
+        """
+        sampling, manifest = self.manifest.sampling, self.manifest
+        attrs: dict[str, Attribute] = {"recording": manifest.name_of(self.path), "domain": sampling.domain}
+        attrs["revs_per_cycle"] = manifest.revs_per_cycle
+        if manifest.test.cycle == "none":
+            attrs["has_shaft"] = 0
+        if sampling.domain == "crank_angle":
+            assert sampling.samples_per_rev is not None  # the manifest states it of this domain
+            attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
+        if sampling.domain == "crank_angle" or not manifest.has_samples:
+            return Gathered(attrs)
+        doubt = raw.rate_uncertainty
+        rates = {"manifest": (sampling.rate_hz, 0.0), "file": (file_hz, doubt)}
+        if times is not None:
+            self.flags.extend(times.flags)
+            rates["time column"] = (times.rate_hz, times.rate_uncertainty)
+        attrs["rate_hz"] = agreed_rate(rates, self.path, settings=self.settings)
+        stated, header_hz = sampling.rate_hz is not None, raw.attrs.get("header_rate_hz")
+        if header_hz is not None and file_hz is not None:
+            detail = f"the header states {header_hz:.6g} Hz, the times in the file say {file_hz:.6g} Hz, which are used"
+            # what the manifest states agrees with the times
+            self.flag("header_rate_disagrees", "info" if stated else "suspect", detail)
+        if doubt > self.settings.rate_tolerance and not stated and times is None:
+            detail = f"the file states its time step to {doubt:.1g} of itself: state rate_hz for right frequencies"
+            self.flag("rate_rounded", "suspect" if doubt > _ROUGH_RATE else "info", detail)
         return Gathered(attrs)
-    if times is not None:
-        flags += times.flags
-    attrs["rate_hz"] = agreed_rate(
-        file_hz=file_hz,
-        times=times,
-        manifest_hz=sampling.rate_hz,
-        path=path,
-        settings=settings,
-        file_uncertainty=raw.rate_uncertainty,
-    )
-    stated, header_hz, doubt = sampling.rate_hz is not None, raw.attrs.get("header_rate_hz"), raw.rate_uncertainty
-    if header_hz is not None and file_hz is not None:
-        detail = f"the header states {header_hz:.6g} Hz, the times in the file say {file_hz:.6g} Hz, which are used"
-        severity: Severity = "info" if stated else "suspect"  # what the manifest states agrees with the times
-        flags.append(flag(path, "header_rate_disagrees", severity, detail))
-    if doubt > settings.rate_tolerance and not stated and times is None:
-        detail = f"the file states its time step to {doubt:.1g} of itself: state rate_hz for frequencies that are right"
-        flags.append(flag(path, "rate_rounded", "suspect" if doubt > _ROUGH_RATE else "info", detail))
-    return Gathered(attrs)
 
+    def to_analysed_unit(self, signal: FloatArray, channel: Channel, file_unit: str) -> Scaling:
+        """Turn ``signal`` in place from the file's unit into the channel's, or to what it is to be integrated from."""
+        scaling = file_to_analysed(channel, file_unit, self.path)
+        stated = channel.sensitivity is not None or channel.offset is not None or file_unit not in STATES_NO_UNIT
+        if not stated and channel.analysed_unit.quantity not in MAY_HAVE_LEVELS and looks_counted(signal):
+            detail = (
+                f"channel {channel.name}: whole numbers without unit or scale in the file, taken as {channel.unit}: "
+                'if they are counts of a converter, state unit = "counts" or a sensitivity'
+            )
+            self.flag("counts_without_unit", "suspect", detail)
+        if scaling.remark:
+            self.flag("unit_unknown", "info", scaling.remark)
+        if scaling.offset != 0.0:
+            signal -= signal.dtype.type(scaling.offset)
+        if scaling.factor != 1.0:
+            signal *= signal.dtype.type(scaling.factor)
+        return scaling
 
-def _to_analysed_unit(
-    signal: FloatArray, channel: Channel, file_unit: str, path: Path, flags: list[QualityFlag]
-) -> Scaling:
-    """Turn ``signal`` in place from the file's unit into the channel's, or to what it is to be integrated from."""
-    scaling = file_to_analysed(channel, file_unit, path)
-    stated = channel.sensitivity is not None or channel.offset is not None or file_unit not in STATES_NO_UNIT
-    if not stated and channel.analysed_unit.quantity not in MAY_HAVE_LEVELS and looks_counted(signal):
+    def integrate(self, signal: FloatArray, number: int, scaling: Scaling, recording: Gathered) -> None:
+        """Integrate ``signal`` of channel ``number`` in place from the unit of ``scaling``, where that is asked for."""
+        channel, octaves = self.manifest.channels[number], self.settings.integration_edge_octaves
+        if not scaling.integrals:
+            if channel.highpass_hz is not None:
+                detail = "highpass_hz acts where a channel is integrated, which this one is not"
+                self.flag("highpass_unused", "suspect", f"channel {channel.name}: {detail}")
+            return
+        rate_hz = recording.number("rate_hz")
+        if recording.attrs["domain"] == "crank_angle":
+            rate_hz = recording.number("samples_per_rev") * recording.number("speed_rpm") / 60.0
+        if not math.isfinite(rate_hz):
+            problem = f"channel {channel.name}: samples by crank angle at an unknown speed cannot be integrated by time"
+            remedy = "State the speed in recordings.speed_rpm, or analyse the acceleration"
+            raise InputError(problem, file=self.path, place=f"source {channel.file_source}", remedy=remedy)
+        highpass_hz = channel.highpass_hz or self.settings.integration_highpass_hz
+        most_hz = 0.5 * rate_hz * 2.0**-octaves
+        if highpass_hz >= most_hz:
+            problem = f"channel {channel.name}: the high-pass leaves nothing of {rate_hz:g} samples per second"
+            place, allowed = f"channels.{number}.highpass_hz", f"below {most_hz:.4g}"
+            remedy = "Mend highpass_hz in the manifest"
+            found = f"{highpass_hz:g}"
+            raise InputError(problem, file=self.path, place=place, found=found, allowed=allowed, remedy=remedy)
+        integral = integrated(signal, rate_hz, times=scaling.integrals, highpass_hz=highpass_hz, half_octaves=octaves)
+        signal[:] = integral * (scaling.unit.factor / channel.analysed_unit.factor)
         detail = (
-            f"channel {channel.name}: whole numbers without unit or scale in the file, taken as "
-            f'{channel.analysed_unit.name}: if they are counts of a converter, state unit = "counts" or a sensitivity'
+            f"channel {channel.name}: {channel.measured_quantity} in {channel.analysed_unit.name} integrated from "
+            f"{scaling.unit.quantity}, high-pass {highpass_hz:g} Hz; "
+            f"the first and last {faded_samples(len(signal), rate_hz, highpass_hz) / rate_hz:.2g} s are left out"
         )
-        flags.append(flag(path, "counts_without_unit", "suspect", detail))
-    if scaling.remark:
-        flags.append(flag(path, "unit_unknown", "info", scaling.remark))
-    if scaling.offset != 0.0:
-        signal -= signal.dtype.type(scaling.offset)
-    if scaling.factor != 1.0:
-        signal *= signal.dtype.type(scaling.factor)
-    return scaling
-
-
-def _integrate(
-    signal: FloatArray,
-    channel: Channel,
-    scaling: Scaling,
-    recording: Gathered,
-    path: Path,
-    settings: IngestSettings,
-    place: str,
-) -> QualityFlag:
-    """Integrate ``signal`` in place from the unit of ``scaling`` to the channel's; the remark that says how."""
-    rate_hz = recording.number("rate_hz")
-    if recording.attrs["domain"] == "crank_angle":
-        rate_hz = recording.number("samples_per_rev") * recording.number("speed_rpm") / 60.0
-    if not math.isfinite(rate_hz):
-        problem = f"channel {channel.name}: samples by crank angle at an unknown speed cannot be integrated by time"
-        remedy = "State the speed in recordings.speed_rpm, or analyse the acceleration"
-        raise InputError(problem, file=path, place=f"source {channel.file_source}", remedy=remedy)
-    highpass_hz = channel.highpass_hz or settings.integration_highpass_hz
-    most_hz = 0.5 * rate_hz * 2.0**-settings.integration_edge_octaves
-    if highpass_hz >= most_hz:
-        problem = f"channel {channel.name}: the high-pass leaves nothing of {rate_hz:g} samples per second"
-        limits = {"found": f"{highpass_hz:g}", "allowed": f"below {most_hz:.4g}"}
-        remedy = "Mend highpass_hz in the manifest"
-        raise InputError(problem, file=path, place=f"{place}.highpass_hz", **limits, remedy=remedy)
-    octaves = settings.integration_edge_octaves
-    integral = integrated(signal, rate_hz, times=scaling.integrals, highpass_hz=highpass_hz, half_octaves=octaves)
-    signal[:] = integral * (scaling.unit.factor / channel.analysed_unit.factor)
-    detail = (
-        f"channel {channel.name}: {channel.measured_quantity} in {channel.analysed_unit.name} integrated from "
-        f"{scaling.unit.quantity}, high-pass {highpass_hz:g} Hz; "
-        f"the first and last {faded_samples(len(signal), rate_hz, highpass_hz) / rate_hz:.2g} s are left out"
-    )
-    return flag(path, "integrated", "info", detail)
+        self.flag("integrated", "info", detail)
 
 
 def _with_signals(

@@ -9,8 +9,8 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -28,6 +28,7 @@ from crankorder.settings import IngestSettings, load_settings
 from crankorder.shaft.pulses import wrap_seen
 
 Role = Literal["time", "angle", "encoder", "index", "cam", "speed", "constant", "channel", "unused"]
+Kind = Literal["", "square", "analogue", "angle", "count", "pulse_times", "edge_list"]
 
 MOST_SAMPLES = 4_000_000
 """Samples of a column that are enough to see a wheel."""
@@ -38,14 +39,18 @@ _MOST_BYTES = 200_000_000
 SQUARE_SHARE, LEVEL_WIDTH = 0.7, 0.2
 # Of a step, as far as a grid of times or angles that was rounded in writing may wander.
 _UNEVEN = 0.5
-# Of the steps of sampled times, those that are even; of the rows of a list of edges, those at which a level changes.
-_EVEN_SHARE, _EDGE_SHARE = 0.9, 0.5
+# Of the rows of a list of edges, those at which a level changes.
+_EDGE_SHARE = 0.5
 # Of the time of the longest column that another of its own rate must span to belong to the recording …
 _SPAN = 0.75
 # … and of the rate of the fastest channel: beside a slower one more than a quarter of its band would be lost.
 _SLOWEST = 0.75
 # Of a column that holds pulses.
 _FEWEST_EDGES = 4
+# Share of the samples from which a trace is mostly high.
+_MOSTLY_HIGH = 0.8
+# Share of the edges of another column from which on both are the same wheel.
+_SAME_EDGES = 0.8
 
 _TIME = re.compile(r"(rel(ative)?|abs(olute)?|elapsed)?[ _.-]*(time|zeit|temps|tiempo|tempo|t)([ _.-]*stamp)?", re.I)
 _ANGLE = re.compile(r"crank[ _.-]*angle|kurbelwinkel|\bangle|winkel|\btheta\b|(^|[^a-z])(deg)?cad?([^a-z]|$)", re.I)
@@ -59,6 +64,7 @@ _POSITION = re.compile(r"posit|(^|[^a-z])(pos|counts|enc(oder)?|lage|drehgeber)(
 _CAM = re.compile(r"(^|[^a-z])(cam(shaft)?|cmp)([^a-z]|$)|nockenwelle", re.I)
 SPEED_NAME = re.compile(r"rpm|speed|drehzahl|(^|[^a-z])u.?min([^a-z]|$)", re.I)
 _SIGNAL = re.compile(r"acc|vib|press|mic|force|sound|strain|torque|schwing|druck|kraft", re.I)
+_SIGNS: tuple[tuple[re.Pattern[str], Role], ...] = ((_INDEX, "index"), (_CAM, "cam"), (_ENCODER, "encoder"))
 _SLOW_UNITS = ("°C", "degC", "deg C", "C", "°F", "degF", "F", "K", "%", "%RH")
 
 
@@ -67,7 +73,8 @@ class Column:
     """One column: its ``name`` and ``source``, what it is for, the unit that the file or its name states, and doubts.
 
     ``label`` is the name without its unit; ``doubt`` says what a person should decide about it, empty where nothing.
-    An encoder's ``position`` is how it tells the angle with every sample, and ``wrap`` after how much it starts anew.
+    ``values`` (sample,) are empty where they were not read; angles are in degrees. ``kind`` is how an encoder tells
+    the shaft, and ``wrap`` after how much an angle or a count starts anew, 0 for never.
     """
 
     name: str
@@ -76,10 +83,40 @@ class Column:
     label: str
     unit: Unit | None = None
     doubt: str = ""
-    first: float = 0.0
-    step: float = 0.0
-    position: Literal["", "angle", "count"] = ""
+    values: Floats = field(default_factory=lambda: np.empty(0))
+    kind: Kind = ""
     wrap: float = 0.0
+
+    @property
+    def seconds(self) -> Floats:
+        """Values of times, in s where no unit is stated."""
+        timed = self.unit is not None and self.unit.quantity == "time"
+        return self.values * (self.unit.factor if self.unit is not None and timed else 1.0)
+
+    @property
+    def grows(self) -> bool:
+        """Whether the values were read, and each is larger than the one before."""
+        return self.values.size > 0 and bool((np.diff(self.values) > 0.0).all())
+
+    @property
+    def is_binary(self) -> bool:
+        """Whether the values are all one of two levels, such as 0 and 1, or one level."""
+        return _is_binary(self.values)
+
+    @property
+    def n_edges(self) -> int:
+        """Rising edges of the values; 0 where they were not read."""
+        return _n_edges(self.values)
+
+    @property
+    def is_mostly_high(self) -> bool:
+        """Whether nearly all of the values lie above their middle."""
+        values = self.values
+        return values.size > 0 and float(np.mean(values > 0.5 * (values.min() + values.max()))) > _MOSTLY_HIGH
+
+    def used_as(self, role: Role, doubt: str = "") -> Column:
+        """This column with another ``role``, and a ``doubt`` where there is one."""
+        return replace(self, role=role, doubt=doubt or self.doubt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,18 +148,12 @@ def is_square(values: Floats) -> bool:
     return bool(min(np.mean(near[above]), np.mean(near[~above])) >= SQUARE_SHARE)
 
 
-def is_even(times: Floats) -> bool:
-    """Whether ``times`` (sample,) follow each other in even steps, as far as rounding lets them, but for a few gaps."""
-    step = np.diff(times)
-    even = np.abs(step - np.median(step)) < _UNEVEN * np.median(step)
-    return times.size > 2 and float(np.mean(even)) > _EVEN_SHARE
-
-
-def lists_edges(times: Floats, columns: Sequence[FloatArray]) -> bool:
-    """Whether rows at ``times`` (row,) are edges, of one of the levels in ``columns`` each, and not samples."""
-    step = np.diff(times)
-    levels = [np.diff(column) != 0.0 for column in columns if column.size == times.size and _is_binary(column)]
-    uneven = times.size > 2 and bool(np.ptp(step) >= _UNEVEN * np.median(step))
+def _lists_edges(time: Column, others: Sequence[Column]) -> bool:
+    """Whether the rows at ``time`` are edges, of one of the levels in ``others`` each, and not samples."""
+    step = np.diff(time.values)
+    alike = [column for column in others if column.values.size == time.values.size and column.is_binary]
+    levels = [np.diff(column.values) != 0.0 for column in alike]
+    uneven = step.size > 1 and bool(np.ptp(step) >= _UNEVEN * np.median(step))
     return uneven and bool(levels) and float(np.mean(np.any(levels, axis=0))) > _EDGE_SHARE
 
 
@@ -141,40 +172,31 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
 
     ``settings`` limit what is read.
     """
-    names = _sampled(contents)
-    values = values_of(path, names, settings)
-    values |= {name: values[name] * factor for name, factor in angle_columns(contents).items() if name in values}
-    found = [_judged(name, contents, values) for name in names]
-    if any(column.role == "time" and _is_straight(values.get(column.name)) for column in found):
+    # a MATLAB file may hold much besides, as single numbers and spectra
+    matlab, degrees = contents.format == "MATLAB", angle_columns(contents)
+    names = [name for name in contents.names if (_spans(name, contents) if matlab else contents.samples.get(name) != 1)]
+    values = _values_of(path, names, settings)
+    found = [_judged(name, contents, values.get(name, np.empty(0)) * degrees.get(name, 1.0)) for name in names]
+    if any(column.role == "time" and _is_straight(column.values) for column in found):
         # at a held speed an angle grows as evenly as the time, which is what tells the speed
-        found = [_as(column, "encoder" if column.role == "angle" else column.role) for column in found]
-    found = _of_several_rates(found, contents.rates_hz)
-    found = _once_each(found)
-    found = _first_of_edges(found, values)
+        found = [column.used_as("encoder") if column.role == "angle" else column for column in found]
+    found = _first_of_edges(_used_together(found, contents.rates_hz))
     time = next((column for column in found if column.role == "time"), None)
-    beside = [column for name, column in values.items() if time is not None and name != time.name]
+    of_edges = time is not None and _lists_edges(time, [column for column in found if column is not time])
     if time is not None and len(found) == 1:
-        found = [_as(time, "encoder", "times alone: taken for those of pulses")]
-    elif time is not None and time.name in values and lists_edges(values[time.name], beside):
-        found = [_of_edge_list(column, values) for column in found]
-    found = _marks_by_count(found, values)
+        found = [time.used_as("encoder", "times alone: taken for those of pulses")]
+    elif of_edges:
+        found = [_of_edge_list(column) for column in found]
+    found = [_with_kind(column, of_edges=of_edges) for column in _marks_by_count(found)]
     if not any(column.role in ("channel", "encoder", "index") for column in found):
         # a manifest needs a signal
         last = ([column for column in found if column.role in ("unused", "speed", "cam", "time")] or found)[-1]
-        found = [_as(column, "channel") if column is last else column for column in found]
-    angle = next((column for column in found if column.role == "angle"), None)
-    wide = angle is not None and float(np.ptp(values[angle.name])) > 360.0 + 1.5 * angle.step
-    sawtooth = angle is not None and bool((np.diff(values[angle.name]) < 0).any())
+        found = [column.used_as("channel") if column is last else column for column in found]
+    angle = next((column.values for column in found if column.role == "angle"), np.zeros(1))
+    four_stroke = bool((np.diff(angle) < 0).any()) and float(np.ptp(angle)) > 360.0 + 1.5 * (angle_step(angle) or 0.0)
     speeds = [name for name in contents.names if contents.samples.get(name) == 1 and SPEED_NAME.search(name)]
     constants = [Column(name, _source(name, contents), "constant", name) for name in speeds[:1]]
-    return Columns((*found, *constants), wide and sawtooth)
-
-
-def _sampled(contents: Contents) -> list[str]:
-    """Names of the columns that hold samples: a MATLAB file may hold much besides, as single numbers and spectra."""
-    if contents.format != "MATLAB":
-        return [name for name in contents.names if contents.samples.get(name) != 1]
-    return [name for name in contents.names if _spans(name, contents)]
+    return Columns((*found, *constants), four_stroke)
 
 
 def _spans(name: str, contents: Contents) -> bool:
@@ -195,11 +217,8 @@ def _source(name: str, contents: Contents) -> Source:
     return int(name) if unnamed and contents.format in ("text", "XLSX") else name
 
 
-def values_of(path: Path, names: Sequence[str], settings: IngestSettings) -> dict[str, Floats]:
-    """Samples of the columns ``names`` of the file at ``path`` by name, of promising ones alone where it is large.
-
-    ``settings`` limit what is read. Empty on a fault.
-    """
+def _values_of(path: Path, names: Sequence[str], settings: IngestSettings) -> dict[str, Floats]:
+    """Samples of the columns ``names`` by name, of promising ones alone where the file is large; empty on a fault."""
     if path.stat().st_size > _MOST_BYTES:
         names = [name for name in names if any(sign.search(name) for sign in (_ENCODER, _INDEX, _CAM, _ANGLE))]
     try:
@@ -208,18 +227,22 @@ def values_of(path: Path, names: Sequence[str], settings: IngestSettings) -> dic
         raise
     except (CrankorderError, OSError, ValueError):
         return {}
-    made = {str(name): column[:MOST_SAMPLES].astype(np.float64) for name, column in raw.columns.items()}
-    ends = [(column, rows_before_zeros(column)) for column in made.values()]
-    rows = min((rows for column, rows in ends if rows < column.size and _grows(column[:rows])), default=MOST_SAMPLES)
-    made = {name: column[:rows] for name, column in made.items()}
-    return {name: column for name, column in made.items() if column.size > 2 and np.isfinite(column).any()}
+    values = {str(name): column[:MOST_SAMPLES].astype(np.float64) for name, column in raw.columns.items()}
+    ends = [(column, rows_before_zeros(column)) for column in values.values()]
+    rows = min(
+        (rows for column, rows in ends if rows < column.size and (np.diff(column[:rows]) > 0.0).all()),
+        default=MOST_SAMPLES,
+    )
+    values = {name: column[:rows] for name, column in values.items()}
+    return {name: column for name, column in values.items() if column.size > 2 and np.isfinite(column).any()}
 
 
-def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Column:
-    """What the column ``name`` is for by itself."""
+def _judged(name: str, contents: Contents, values: Floats) -> Column:
+    """What the column ``name`` is for by itself; ``values`` are empty where they were not read."""
     stated, told = contents.units.get(name, ""), unit_in_suffix(name)
     unit, label = _unit_and_label(name, contents)
-    role = _role(label, "" if unit is None else unit.quantity, contents, values.get(name))
+    quantity = "" if unit is None else unit.quantity
+    role = _role(label, quantity, values, is_timed=bool(contents.rates_hz))
     n_samples, longest = contents.samples.get(name), max(contents.samples.values(), default=0)
     if role != "encoder" and not _spans(name, contents):
         return Column(name, _source(name, contents), "unused", label, unit, f"{n_samples} samples of {longest}")
@@ -229,17 +252,14 @@ def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Colu
     elif stated not in STATES_NO_UNIT and unit is None:
         doubt = f"the file states the unit {stated!r}, which is not known"
         role = "unused" if stated.strip() in _SLOW_UNITS else role
-    elif unit is None and role == "channel" and name in values and looks_counted(values[name]):
+    elif unit is None and role == "channel" and values.size and looks_counted(values):
         unit, doubt = unit_of("counts"), "whole numbers without a unit: counts of a converter, or m/s2, g, Pa, …"
-    first, step = 0.0, 0.0
-    if role == "angle":
-        first, step = float(values[name][0]), angle_step(values[name]) or 0.0
-    column = Column(name, _source(name, contents), role, label, unit, doubt, first, step)
-    if role not in ("encoder", "angle") or name not in values:
+    column = Column(name, _source(name, contents), role, label, unit, doubt, values)
+    if role not in ("encoder", "angle") or not values.size:
         return column
-    angular = _is_angular(label, "" if unit is None else unit.quantity)
-    seen = wrap_seen(values[name]) if angular else _whole_numbers(values[name])
-    return column if seen is None else replace(column, position="angle" if angular else "count", wrap=seen[0])
+    angular = _is_angular(label, quantity)
+    seen = wrap_seen(values) if angular else _whole_numbers(values)
+    return column if seen is None else replace(column, kind="angle" if angular else "count", wrap=seen[0])
 
 
 def _unit_and_label(name: str, contents: Contents) -> tuple[Unit | None, str]:
@@ -249,35 +269,35 @@ def _unit_and_label(name: str, contents: Contents) -> tuple[Unit | None, str]:
     return unit, _bare(name.rpartition("/")[2] if contents.format == "HDF5" else name)
 
 
-def _role(label: str, quantity: str, contents: Contents, values: Floats | None) -> Role:
+def _role(label: str, quantity: str, values: Floats, *, is_timed: bool) -> Role:
+    """What a column is for by its ``label``, ``quantity`` and ``values``; ``is_timed``: the file states rates."""
+    was_read = values.size > 0
     if _is_angular(label, quantity):
-        if values is None or wrap_seen(values) is None:
+        if not was_read or wrap_seen(values) is None:
             return "unused"
         return "encoder" if angle_step(values) is None else "angle"
-    if (quantity == "time" or (not quantity and _TIME.fullmatch(label))) and (values is None or _grows(values)):
+    grows = bool((np.diff(values) > 0.0).all())
+    if (quantity == "time" or (not quantity and _TIME.fullmatch(label))) and grows:
         return "time"
     if quantity == "rotational speed" or (not quantity and SPEED_NAME.search(label) and not _is_binary(values)):
         return "speed"
     if quantity not in ("", "voltage", "counts", "full scale", "ratio") or _SIGNAL.search(label):
         return "channel"
-    if values is not None and not label.isdigit() and (whole := _whole_numbers(values)) is not None:
+    if was_read and not label.isdigit() and (whole := _whole_numbers(values)) is not None:
         wrap, even = whole
-        named = quantity == "counts" or _POSITION.search(label)
-        return "encoder" if named and (wrap or not even) else "unused"
+        is_position = quantity == "counts" or _POSITION.search(label)
+        return "encoder" if is_position and (wrap or not even) else "unused"
     for sign, role in _SIGNS:
-        if sign.search(label) and (values is None or np.ptp(values[np.isfinite(values)]) > 0.0):
+        if sign.search(label) and (not was_read or np.ptp(values[np.isfinite(values)]) > 0.0):
             return role
-    if values is None:
+    if not was_read:
         return "channel"
     if (_is_binary(values) and np.ptp(values) > 0.0) or (quantity in ("", "voltage") and is_square(values)):
         return "encoder" if _n_edges(values) >= _FEWEST_EDGES else "unused"
-    if label.isdigit() and _grows(values) and is_even(values):
+    if label.isdigit() and grows and _is_straight(values):
         counted = np.ptp(np.diff(values)) == 0.0 and values[1] - values[0] == 1.0
-        return "unused" if counted or contents.rates_hz else "time"
+        return "unused" if counted or is_timed else "time"
     return "channel"
-
-
-_SIGNS: tuple[tuple[re.Pattern[str], Role], ...] = ((_INDEX, "index"), (_CAM, "cam"), (_ENCODER, "encoder"))
 
 
 def _bare(name: str) -> str:
@@ -290,13 +310,9 @@ def _bare(name: str) -> str:
     return bare.strip(" _.-") or name
 
 
-def _grows(values: Floats) -> bool:
-    return bool((np.diff(values) > 0.0).all())
-
-
-def _is_straight(times: Floats | None) -> bool:
+def _is_straight(times: Floats) -> bool:
     """Whether ``times`` (sample,) lie within a step of a straight line."""
-    if times is None:
+    if not times.size:
         return False
     off = times - np.linspace(times[0], times[-1], times.size)
     return float(np.abs(off).max()) * (times.size - 1) < float(times[-1] - times[0])
@@ -313,15 +329,12 @@ def _whole_numbers(values: Floats) -> tuple[float, bool] | None:
     return wrap_seen(values) if many else None
 
 
-def _is_binary(values: FloatArray | None) -> bool:
-    """Whether ``values`` are all one of two levels, such as 0 and 1, or one level."""
-    if values is None or values.size < 2:
-        return False
-    return bool(((values == values.min()) | (values == values.max())).all())
+def _is_binary(values: FloatArray) -> bool:
+    return values.size > 1 and bool(((values == values.min()) | (values == values.max())).all())
 
 
 def _n_edges(values: Floats) -> int:
-    high = values > 0.5 * (values.min() + values.max())
+    high = values > 0.5 * (values.min() + values.max()) if values.size else np.empty(0, dtype=np.bool_)
     return int(np.count_nonzero(high[1:] & ~high[:-1]))
 
 
@@ -337,91 +350,72 @@ def angle_step(values: Floats) -> float | None:
     return step if abs(per_rev - round(per_rev)) < 1e-3 * per_rev else None
 
 
-def _of_several_rates(found: list[Column], rates_hz: Mapping[str, float]) -> list[Column]:
-    """``found`` where columns differ in rate: none tells the times of all, and slow channels would slow all down."""
-    if len({rates_hz.get(column.name) for column in found if column.role != "time"} - {None}) < 2:
-        return found
-    channels = [rates_hz[column.name] for column in found if column.role == "channel" and column.name in rates_hz]
-    fastest_hz = max(channels, default=0.0)
-    made: list[Column] = []
+def _used_together(found: list[Column], rates_hz: Mapping[str, float]) -> list[Column]:
+    """``found`` without what cannot be used beside the others.
+
+    A second time, angle, speed or mark; a time beside an angle; a time of columns that differ in rate, whose times it
+    does not tell, and among these slow channels, which would slow all down.
+    """
+    several = len({rates_hz.get(column.name) for column in found if column.role != "time"} - {None}) > 1
+    fastest_hz = max((rates_hz.get(column.name, 0.0) for column in found if column.role == "channel"), default=0.0)
+    seen: set[Role] = {"time"} if any(column.role == "angle" for column in found) else set()
+    used: list[Column] = []
     for column in found:
-        rate_hz = rates_hz.get(column.name, fastest_hz)
-        if column.role == "time":
-            column = _as(column, "unused", "each channel has times of its own")
-        elif column.role == "channel" and rate_hz < _SLOWEST * fastest_hz:
+        role, rate_hz = column.role, rates_hz.get(column.name, fastest_hz)
+        if role == "time" and several:
+            column = column.used_as("unused", "each channel has times of its own")
+        elif role == "channel" and rate_hz < _SLOWEST * fastest_hz:
             doubt = f"{rate_hz:.6g} Hz beside channels of {fastest_hz:.6g} Hz: all would come to it"
-            column = _as(column, "unused", doubt)
-        made.append(column)
-    return made
+            column = column.used_as("unused", doubt)
+        elif role in seen and role not in ("channel", "encoder"):
+            column = column.used_as("unused")
+        seen.add(role)
+        used.append(column)
+    return used
 
 
-def _once_each(found: list[Column]) -> list[Column]:
-    """``found`` with one time, angle and speed; a second of each takes no part, as does a time beside an angle."""
-    seen: set[Role] = set()
-    by_angle = any(column.role == "angle" for column in found)
-    made: list[Column] = []
-    for column in found:
-        again = column.role in ("time", "angle", "speed") and column.role in seen
-        beside = by_angle and column.role == "time"
-        seen.add(column.role)
-        made.append(_as(column, "unused") if again or beside else column)
-    return made
-
-
-def _as(column: Column, role: Role, doubt: str = "") -> Column:
-    return replace(column, role=role, doubt=doubt or column.doubt)
-
-
-def _first_of_edges(found: list[Column], values: Mapping[str, Floats]) -> list[Column]:
+def _first_of_edges(found: list[Column]) -> list[Column]:
     """``found`` with its first column as the times of edges, where nothing names it and all others are levels."""
     first, others = found[0], found[1:]
-    levels = all(column.name in values and _is_binary(values[column.name]) for column in others)
-    if others and levels and first.name in values and first.label.isdigit() and _grows(values[first.name]):
+    if others and all(column.is_binary for column in others) and first.label.isdigit() and first.grows:
         return [replace(first, role="time", doubt="the first column grows: taken for seconds"), *others]
     return found
 
 
-def _of_edge_list(column: Column, values: Mapping[str, Floats]) -> Column:
+def _of_edge_list(column: Column) -> Column:
     """``column`` of a file whose lines are changes of levels: what changes is a pulse, what does not has no use."""
     if column.role == "time":
         return column
-    levels = values.get(column.name)
-    if levels is None or not _is_binary(levels) or _n_edges(levels) < _FEWEST_EDGES:
-        return _as(column, "unused")
-    return column if column.role in ("index", "cam", "encoder") else _as(column, "encoder")
+    if not column.is_binary or column.n_edges < _FEWEST_EDGES:
+        return column.used_as("unused")
+    return column if column.role in ("index", "cam", "encoder") else column.used_as("encoder")
 
 
-def _marks_by_count(found: list[Column], values: Mapping[str, Floats]) -> list[Column]:
-    """``found`` with one encoder, the column of the most edges, and of the others an index and a cam mark by theirs."""
-    named = {column.role for column in found if column.role in ("index", "cam")}
-    pulses = [column for column in found if column.role == "encoder"]
-    pulses.sort(key=lambda column: -_n_edges(values[column.name]) if column.name in values else 0)
-    roles: dict[str, Role] = {column.name: "unused" for column in pulses}
-    for column, role in zip(pulses, _free_roles(pulses, named, values), strict=False):
-        roles[column.name] = role
-    seen: set[Role] = set()
-    made: list[Column] = []
-    for column in found:
-        role = roles.get(column.name, column.role)
-        if role in ("index", "cam") and role in seen:
-            role = "unused"
-        seen.add(role)
-        by_count = column.role != role or len(pulses) > 1
-        guessed = by_count and role in ("encoder", "index", "cam")
-        made.append(_as(column, role, "by the number of its edges" if guessed else ""))
-    return made
+def _marks_by_count(found: list[Column]) -> list[Column]:
+    """``found`` with one encoder, the column of the most edges, and of the others an index and a cam mark by theirs.
+
+    Columns alike in number of edges are one wheel read twice.
+    """
+    pulses = sorted((column for column in found if column.role == "encoder"), key=lambda column: -column.n_edges)
+    roles: dict[str, Role] = {}
+    free: list[Role] = ["encoder", *(role for role in ("index", "cam") if all(each.role != role for each in found))]
+    most = np.inf
+    for column in pulses:
+        roles[column.name] = free.pop(0) if free and column.n_edges <= most else "unused"
+        most = _SAME_EDGES * column.n_edges
+    doubt = "by the number of its edges" if len(pulses) > 1 else ""
+    chosen = [(column, roles.get(column.name, column.role)) for column in found]
+    return [column.used_as(role, doubt if column.name in roles and role != "unused" else "") for column, role in chosen]
 
 
-def _free_roles(pulses: Sequence[Column], named: Collection[Role], values: Mapping[str, Floats]) -> list[Role]:
-    """Roles of ``pulses``, which come by falling number of edges: alike in number they are one wheel read twice."""
-    roles: list[Role] = ["encoder"]
-    counts = [_n_edges(values[column.name]) if column.name in values else 0 for column in pulses]
-    for number in range(1, len(pulses)):
-        free: list[Role] = [role for role in ("index", "cam") if role not in named and role not in roles]
-        alike = counts[number] > 0.8 * counts[number - 1]
-        halved = "cam" in free and "index" in roles and counts[number] > 0
-        roles.append("unused" if alike or not free else "cam" if halved else free[0])
-    return roles
+def _with_kind(column: Column, *, of_edges: bool) -> Column:
+    """``column`` with how its values tell the shaft, where it is an encoder or a mark; ``of_edges``: rows are edges."""
+    values = column.values
+    if column.role not in ("encoder", "index") or column.kind or not values.size:
+        return column
+    if np.isfinite(values).all() and (np.diff(values) >= 0.0).all() and np.ptp(values) > 0.0:
+        return replace(column, kind="pulse_times")
+    return replace(column, kind="edge_list" if of_edges else "square" if is_square(values) else "analogue")
 
 
 def read_checked(
@@ -539,32 +533,22 @@ def _pulse_column(samples: tuple[Contents, Path], events: tuple[Contents, Path])
     clock, signals = recorded.of("time"), recorded.channels()
     if time is None or not signals or (clock is None and not samples[0].rates_hz):
         return None
-    values = values_of(events[1], [column.name for column in listed.all], settings)
-    times = values.get(time.name, np.empty(0)) * _seconds(time)
-    n_samples, begin_s, end_s = samples[0].samples.get(signals[0].name, 0), -np.inf, np.inf
-    if clock is not None:
-        read = values_of(samples[1], [clock.name], settings)
-        stamps = read.get(clock.name, np.zeros(1)) * _seconds(clock)
-        n_samples, begin_s, end_s = stamps.size, stamps[0], stamps[-1]
-    if not 2 < times.size < n_samples or not (np.diff(times) > 0.0).all() or times[-1] < begin_s or times[0] > end_s:
+    n_samples = max(signals[0].values.size, samples[0].samples.get(signals[0].name, 0))
+    times, stamps = time.seconds, np.array([-np.inf, np.inf]) if clock is None else clock.seconds
+    if not time.grows or not 2 < times.size < n_samples or times[-1] < stamps[0] or times[0] > stamps[-1]:
         return None
-    others = [column for column in listed.all if column is not time]
-    if not all(column.name in values and _tells_pulses(column, values[column.name], times) for column in others):
+    if not all(_tells_pulses(column, times) for column in listed.all if column is not time):
         return None
     return time.source, float((times.size - 1) / np.ptp(times))
 
 
-def _seconds(column: Column) -> float:
-    return column.unit.factor if column.unit is not None and column.unit.quantity == "time" else 1.0
-
-
-def _tells_pulses(column: Column, values: Floats, times: Floats) -> bool:
+def _tells_pulses(column: Column, times: Floats) -> bool:
     """Whether a ``column`` beside ``times`` in s only counts pulses, or tells their period or speed."""
-    step, later = np.diff(times), values[1:]
-    if (values == np.rint(values)).all() and (np.diff(values) >= 0.0).all():
-        return True
+    step, values = np.diff(times), column.values
+    if not values.size or ((values == np.rint(values)).all() and (np.diff(values) >= 0.0).all()):
+        return values.size > 0
     if SPEED_NAME.search(column.label):
-        rev_per_s = later * (column.unit or unit_of("rpm")).factor
+        rev_per_s = values[1:] * (column.unit or unit_of("rpm")).factor
         per_rev = max(1.0, float(np.rint(np.median(1.0 / np.maximum(rev_per_s * step, 1e-9)))))
         return bool(np.allclose(rev_per_s * step * per_rev, 1.0, rtol=0.1))
-    return bool(np.allclose(later * _seconds(column), step, rtol=0.1))
+    return bool(np.allclose(column.seconds[1:], step, rtol=0.1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ class TimeColumn:
 
     ``n_rows``: rows that count, without zeros at the end; ``places``: of each of them on the uniform grid, where rows
     are missing in between. ``starts``: first place of each stretch between gaps, and ``offsets`` (stretch,) how many
-    samples it lies behind its places; None where all lie on the grid.
+    samples it lies behind its places; one stretch without offset where all lie on the grid.
     """
 
     rate_hz: float
@@ -47,8 +47,8 @@ class TimeColumn:
     flags: list[QualityFlag]
     n_rows: int
     places: Ints | None = None
-    starts: Ints | None = None
-    offsets: Floats | None = None
+    starts: Ints = field(default_factory=lambda: np.zeros(1, dtype=np.int64))
+    offsets: Floats = field(default_factory=lambda: np.zeros(1))
 
     def on_grid(self, column: FloatArray) -> FloatArray:
         """``column`` (row,) on the uniform grid, NaN where rows are missing; a stretch off it in its nearest places."""
@@ -61,16 +61,12 @@ class TimeColumn:
 
     def align(self, signal: FloatArray) -> None:
         """Shift each stretch of ``signal`` (place,), as on_grid lays it, onto the grid in place; NaN at its ends."""
-        if self.starts is None or self.offsets is None:
-            return
         for first, end, offset in zip(self.starts, [*self.starts[1:], signal.size], self.offsets, strict=True):
             if offset:
                 signal[first:end] = shifted(signal[first:end], float(offset))
 
     def places_in_time(self, place: Floats) -> Floats:
         """Places (n,) on the grid of the times at which a stretch was at ``place`` (n,) of a trace laid on_grid."""
-        if self.starts is None or self.offsets is None:
-            return place
         return np.asarray(place + self.offsets[np.searchsorted(self.starts, place, side="right") - 1])
 
 
@@ -103,8 +99,12 @@ def read_time_column(
         times = even
     _refuse_disorder(times, path)
     first, step_s, exact, jitter = _even_stretches(times, BREAKS[0])
-    places = _whole_places(times, first, step_s) if first.size > 1 else None
-    starts = offsets = None
+    places = None
+    if first.size > 1:  # were all gaps whole samples
+        moved = np.zeros(times.size, dtype=np.int64)
+        moved[first[1:]] = np.round((times[first[1:]] - times[first[1:] - 1]) / step_s).astype(np.int64) - 1
+        places = np.arange(times.size) + np.cumsum(np.maximum(moved, 0))
+    starts, offsets = np.zeros(1, dtype=np.int64), np.zeros(1)
     last = times.size - 1 if places is None else int(places[-1])
     grid_s = (float(times[-1]) - float(times[0])) / last
     off_grid = _jitter(times, grid_s, places)
@@ -122,7 +122,7 @@ def read_time_column(
         places = np.arange(times.size) + np.repeat(starts - first, np.diff(first, append=times.size))
         last = times.size // first.size
     if first.size > 1:
-        flags.append(_gaps(times, first, step_s, path, settings, moved=offsets is not None))
+        flags.append(_gaps(times, first, step_s, path, settings, moved=bool(offsets.any())))
     jitter = max(jitter, written)
     if jitter > settings.time_jitter_samples:
         detail = f"times lie off a uniform grid by up to {jitter:.2g} samples (rounded?); a uniform grid is used"
@@ -207,13 +207,6 @@ def _even_stretches(times: FloatArray, least: float) -> tuple[Ints, float, Float
     return first, step_s, mean - mean[0] + first, jitter
 
 
-def _whole_places(times: FloatArray, first: Ints, step_s: float) -> Ints:
-    """Place of each of ``times`` on the grid of ``step_s``, were all gaps before the rows ``first`` whole samples."""
-    moved = np.zeros(times.size, dtype=np.int64)
-    moved[first[1:]] = np.round((times[first[1:]] - times[first[1:] - 1]) / step_s).astype(np.int64) - 1
-    return np.asarray(np.arange(times.size) + np.cumsum(np.maximum(moved, 0)))
-
-
 def _jitter(times: FloatArray, step_s: float, places: Ints | None) -> float:
     """Samples by which one of ``times`` lies off the grid of ``step_s`` that begins with the first, at most."""
     jitter = 0.0
@@ -267,38 +260,21 @@ def _gaps(
     return flag(path, "time_gap", "suspect", f"{detail}; what touches a gap is left out")
 
 
-def agreed_rate(
-    *,
-    file_hz: float | None,
-    times: TimeColumn | None,
-    manifest_hz: float | None,
-    path: Path,
-    settings: IngestSettings,
-    file_uncertainty: float = 0.0,
-) -> float:
-    """Samples per second on which the file's statement ``file_hz``, its column ``times`` and ``manifest_hz`` agree.
+def agreed_rate(rates: Mapping[str, tuple[float | None, float]], path: Path, *, settings: IngestSettings) -> float:
+    """Samples per second on which all ``rates`` (by who states it: Hz or None, relative uncertainty) agree.
 
-    ``path`` names the recording in errors; ``settings`` give the tolerance, to which ``file_uncertainty`` (relative) of
-    a rounded statement adds.
+    ``path`` names the recording in errors; ``settings`` give the tolerance, to which the uncertainties add.
     Raises InputError where two of them disagree, so that never one silently wins, and where there is none.
     """
-    rates = [("manifest", manifest_hz, 0.0), ("file", file_hz, file_uncertainty)]
-    rates += [] if times is None else [("time column", times.rate_hz, times.rate_uncertainty)]
-    stated = [(name, rate_hz, uncertainty) for name, rate_hz, uncertainty in rates if rate_hz is not None]
+    stated = [(name, rate_hz, doubt) for name, (rate_hz, doubt) in rates.items() if rate_hz is not None]
     if not stated:
-        raise InputError(
-            "the sampling rate is not known",
-            file=path,
-            remedy="State [sampling] rate_hz, or time_source where a column holds the time, in the manifest",
-        )
-    first = stated[0]
-    for name, rate_hz, uncertainty in stated[1:]:
-        if abs(rate_hz - first[1]) > (settings.rate_tolerance + uncertainty + first[2]) * first[1]:
-            raise InputError(
-                f"the sampling rate is {rate_hz:.12g} Hz in the {name}, {first[1]:.12g} Hz in the {first[0]}",
-                file=path,
-                remedy="Find out which is right, and mend the other",
-            )
+        remedy = "State [sampling] rate_hz, or time_source where a column holds the time, in the manifest"
+        raise InputError("the sampling rate is not known", file=path, remedy=remedy)
+    first, first_hz, first_doubt = stated[0]
+    for name, rate_hz, doubt in stated[1:]:
+        if abs(rate_hz - first_hz) > (settings.rate_tolerance + doubt + first_doubt) * first_hz:
+            problem = f"the sampling rate is {rate_hz:.12g} Hz in the {name}, {first_hz:.12g} Hz in the {first}"
+            raise InputError(problem, file=path, remedy="Find out which is right, and mend the other")
     return min(stated, key=lambda rate: rate[2])[1]  # of those that are sure alike the first
 
 

@@ -17,13 +17,13 @@ from crankorder.ingest.channel import STATES_NO_UNIT
 from crankorder.ingest.encoder_table import POSITION_KINDS, SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, listed
-from crankorder.ingest.record_faults import direction_flags
 from crankorder.ingest.sampling import ENCODER, TimeBase, TimeColumn, rows_before_zeros, seconds_of, zeros_flag
 from crankorder.ingest.units import conversion_factor, known_unit, unit_in_label, unit_of
 from crankorder.quantities import Attribute, Floats, QualityFlag, Severity
-from crankorder.settings import ShaftSettings
+from crankorder.settings import MethodNumbers, ShaftSettings
 from crankorder.shaft.pulses import NoPulsesError, Remark, find_pulses, position_pulses
 
+NUMBERS = MethodNumbers("1-ingest-faults.toml", "direction")
 # Pulse times that are told more finely than this are as good as those of a counter.
 _FINE_STEP_S = 1e-6
 
@@ -112,9 +112,7 @@ class ShaftSignals:
                 recording.attrs["gap_starts_s"] = (gap_s + (own.start_s - self.base.start_s)).tolist()
         pulse_s = recording.variables["pulse_time"].values
         if encoder.second_track is not None:
-            track, levels = self.bases["the second track"], self.raw.columns[encoder.second_track]
-            at = (pulse_s + (self.base.start_s - track.start_s)) * track.rate_hz
-            self.flags.extend(direction_flags(levels, at, self.path, falling=encoder.edge == "falling"))
+            self._tell_direction(self.raw.columns[encoder.second_track], pulse_s)
         if encoder.file is not None and self.manifest.channels and pulse_s.size > 1:
             detail = (
                 "times of pulses come from a file of their own, and no signal that both recorded compares its clock "
@@ -132,6 +130,37 @@ class ShaftSignals:
 
     def _flag(self, name: str, severity: Severity, detail: str) -> None:
         self.flags.append(flag(self.path, name, severity, detail))
+
+    def _tell_direction(self, levels: FloatArray, pulse_s: Floats) -> None:
+        """Flag what the second track says of the direction; nothing where the shaft turns forwards.
+
+        Forwards the first track leads by a quarter of a pulse: the second, ``levels`` (sample,), is still low where the
+        first rises, at ``pulse_s`` (pulse,), and still high where it falls.
+        """
+        track = self.bases["the second track"]
+        low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
+        at = np.floor((pulse_s + (self.base.start_s - track.start_s)) * track.rate_hz).astype(np.int64)
+        at = at[(at >= 0) & (at < levels.size)]
+        if at.size < NUMBERS.fewest_pulses or not high > low:
+            why = "it is constant" if at.size else "no pulses"
+            self._flag("direction_unknown", "info", f"the second track says nothing of the direction: {why}")
+            return
+        backwards = (levels[at] > 0.5 * (low + high)) != (self.encoder.edge == "falling")
+        share = float(np.mean(backwards))
+        leads = f"the second track leads at {share:.1%} of the pulses"
+        if share >= NUMBERS.sure_share:
+            detail = (
+                f"{leads}: the shaft turns backwards, or the two tracks are swapped; the angle is counted up all the "
+                "same, so phases are those of the other direction"
+            )
+            self._flag("turns_backwards", "suspect", detail)
+        elif share > 1.0 - NUMBERS.sure_share:
+            first = int(np.flatnonzero(np.diff(backwards))[0]) + 1
+            detail = (
+                f"{leads}, first another way at pulse {first}: the shaft changes its direction, or too few samples lie "
+                "between the pulses to tell"
+            )
+            self._flag("direction_changes", "suspect", detail)
 
     def _add_stated_speed(self, recording: Gathered) -> None:
         """Note the speed that the manifest, or a number in the file, states; a shaft of constant speed needs one."""

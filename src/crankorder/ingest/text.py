@@ -1,16 +1,22 @@
-"""Text tables: comma, semicolon, tab or blanks between columns, decimal point or comma, comments and names above."""
+"""Tables of numbers with names above: text and the first sheet of XLSX workbooks.
+
+In text comma, semicolon, tab or blanks stand between columns, decimals follow a point or a comma, comments stand above.
+"""
 
 from __future__ import annotations
 
 import re
+import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from crankorder.errors import InputError, printable
+from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, flag, names_of
 from crankorder.ingest.units import known_unit, unit_in_label
 from crankorder.quantities import QualityFlag, Severity
@@ -19,7 +25,7 @@ from crankorder.settings import IngestSettings
 
 _HEAD_BYTES = 65_536
 PIECE_BYTES, PIECE_LINES = 1 << 22, 1 << 16
-"""Of a table that goes to disk so much is read at a time."""
+"""So much of a table is read at a time."""
 
 _NUMBER = re.compile(
     r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE
@@ -51,33 +57,17 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """
     check_budget(path.stat().st_size, settings)
     layout = _layout_of(path)
+    rates = {} if layout.rate_hz is None else dict.fromkeys(layout.names, layout.rate_hz)
+    stated = Contents("text", layout.names, units=layout.units, rates_hz=rates)
     names = names_of(sources, layout.names, path)
+    if not names:
+        return stated.with_columns({}, ())
     positions = [layout.names.index(name) for name in names.values()]
-    if path.stat().st_size > settings.in_memory_bytes:
-        block = _streamed(path, layout, positions)
-    else:
-        table, bare = next(_pieces(path, layout, None))
-        if bare:
-            _find_bad_cell(path, layout)
-        block = np.ascontiguousarray(table[:, positions].T)
+    block = _columns_at(positions, path, layout, on_disk=path.stat().st_size > settings.in_memory_bytes)
     flags = last_line_flags(path)
     if layout.decimal_comma:
         flags.insert(0, flag(path, "decimal_comma", "info", "decimals are written after a comma"))
-    return _contents(layout).with_columns(names, block, flags=flags)
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names, units and rate that the head of the text table at ``path`` states; lengths are not known without reading.
-
-    ``settings`` give the byte limit. Raises what :func:`read` raises for the head.
-    """
-    check_budget(path.stat().st_size, settings)
-    return _contents(_layout_of(path))
-
-
-def _contents(layout: _Layout) -> Contents:
-    rates = {} if layout.rate_hz is None else dict.fromkeys(layout.names, layout.rate_hz)
-    return Contents(format="text", names=layout.names, units=layout.units, rates_hz=rates)
+    return stated.with_columns(names, block, flags=flags)
 
 
 def encoding_of(head: bytes) -> str:
@@ -170,40 +160,40 @@ def _rate_in(comments: str) -> float | None:
     return rate_hz if 0 < rate_hz < 1e12 else None
 
 
-def _streamed(path: Path, layout: _Layout, positions: list[int]) -> FloatArray:
-    """Columns (column, sample) at ``positions`` of a table that is parsed in pieces and laid on disk."""
-    n_lines = 1 - layout.n_head_lines
+def _columns_at(positions: list[int], path: Path, layout: _Layout, *, on_disk: bool) -> FloatArray:
+    """Columns (column, sample) at ``positions`` of the table, which is parsed in pieces."""
+    feeds, returns, last = 0, 0, b""
     with path.open("rb") as stream:
         while piece := stream.read(PIECE_BYTES):
-            n_lines += piece.count(b"\n")
-    block = empty((len(positions), n_lines), np.float64, on_disk=True)
-    n, any_bare = 0, False
-    for table, bare in _pieces(path, layout, PIECE_LINES):
+            feeds, returns, last = feeds + piece.count(b"\n"), returns + piece.count(b"\r"), piece[-1:]
+    n_lines = max(feeds, returns) + (last not in b"\r\n") - layout.n_head_lines
+    block = empty((len(positions), n_lines), np.float64, on_disk=on_disk)
+    n, may_be_short = 0, False
+    for table in _pieces(path, layout):
+        # pandas fills short lines with NaN without a word
+        may_be_short |= bool(np.isnan(table).any())
         block[:, n : n + len(table)] = table[:, positions].T
-        n, any_bare = n + len(table), any_bare or bare
-    if any_bare:
+        n += len(table)
+    if may_be_short:
         _find_bad_cell(path, layout)
     return block[:, :n]
 
 
-def _pieces(path: Path, layout: _Layout, n_lines: int | None) -> Iterator[tuple[FloatArray, bool]]:
-    """Tables (sample, column) of ``n_lines`` each, or one of all, and whether it may have lines that are too short."""
+def _pieces(path: Path, layout: _Layout) -> Iterator[FloatArray]:
+    """Tables (sample, column) of ``PIECE_LINES`` each."""
     import pandas as pd
 
     try:
-        made = parsed(
+        for frame in parsed(
             path, layout.separator, decimal_comma=layout.decimal_comma, encoding=layout.encoding,
-            skiprows=layout.n_head_lines, skip_blank_lines=True, chunksize=n_lines,
-        )  # fmt: skip
-        for frame in [made] if n_lines is None else made:
+            skiprows=layout.n_head_lines, skip_blank_lines=True, chunksize=PIECE_LINES,
+        ):  # fmt: skip
             if len(frame.columns) == len(layout.names) + 1 and frame.iloc[:, -1].isna().all():
                 frame = frame.iloc[:, :-1]  # every line ends with a separator
             table: FloatArray = np.asarray(frame.to_numpy(), dtype=np.float64)
-            # pandas fills short lines with NaN without a word
-            wrong = table.shape[1] != len(layout.names)
-            if wrong:
+            if table.shape[1] != len(layout.names):
                 _find_bad_cell(path, layout)
-            yield table, wrong or bool(np.isnan(table).any())
+            yield table
     except (ValueError, OverflowError, pd.errors.ParserError) as error:
         if isinstance(error, InputError):
             raise
@@ -266,3 +256,92 @@ def last_line_flags(path: Path) -> list[QualityFlag]:
     shortest = min((len(line) for line in lines[-20:-1] if line.strip()), default=0)
     severity: Severity = "suspect" if len(lines[-1].rstrip()) < shortest - 1 else "info"
     return [flag(path, "last_line_open", severity, "the last line has no end: it may be truncated")]
+
+
+_BANNER_ROWS = 50
+_UNPACKED = 10
+"""Bytes of numbers for each byte of a workbook, as a rule at most."""
+
+Row = list[Any]
+
+
+def read_xlsx(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
+    """Columns (float64) that ``sources`` ask for, by name or number from 0, from the first sheet of ``path``.
+
+    ``settings`` give the byte limit. Raises InputError naming row and cell for a cell that is no number, and
+    EnvironmentFailure where the package python-calamine is missing, UnsafeInputError where it goes beyond its limits.
+    """
+    module = package("python_calamine", "XLSX", "Install it with: pip install crankorder[xlsx]")
+
+    def parse() -> RawFile:
+        rows = _rows(module.CalamineWorkbook, path, settings)
+        names, units, first, n_above = _sheet_header(rows)
+        stated, wanted = Contents("XLSX", names, units=units), names_of(sources, names, path)
+        if not wanted:
+            return stated.with_columns({}, ())
+        positions = [names.index(name) for name in wanted.values()]
+        cells = [[row[position] for position in positions] for row in chain([] if first is None else [first], rows)]
+        while cells and all(cell == "" for cell in cells[-1]):
+            cells.pop()  # formatted but empty rows below the data
+        for number, values in enumerate(cells, start=n_above + 1):
+            for position, cell in zip(positions, values, strict=True):
+                if not _is_number(cell):
+                    problem, found = ("an empty cell", "") if cell == "" else ("not a number", repr(cell))
+                    place = f"row {number}, column {position} ({names[position]})"
+                    raise InputError(
+                        problem, place=place, found=found, remedy="Mend the cell, or leave the recording out"
+                    )
+        block = np.ascontiguousarray(np.array(cells, dtype=np.float64).reshape(-1, len(positions)).T)
+        return stated.with_columns(wanted, block)
+
+    return in_child(parse, path, n_bytes=_UNPACKED * path.stat().st_size)
+
+
+def _rows(parser: Any, path: Path, settings: IngestSettings) -> Iterator[Row]:
+    """Values of the rows of the first sheet, "" for an empty cell.
+
+    What the archive claims to hold is checked against ``settings`` before it is unpacked; a claim of rows beyond the
+    last that a sheet can have takes more memory than the process has.
+    """
+    with zipfile.ZipFile(path) as archive:
+        check_budget(sum(item.file_size for item in archive.infolist()), settings)
+    sheet = parser.from_path(path).get_sheet_by_index(0)
+    if sheet.start is None:
+        return
+    for row in sheet.iter_rows():
+        yield [""] * sheet.start[1] + row
+
+
+def _sheet_header(
+    rows: Iterator[Row],
+) -> tuple[tuple[str, ...], dict[str, str], Row | None, int]:
+    """Names and units of the columns, the first row of numbers, and how many rows stand above it.
+
+    Titles and notes above the names are passed over. ``rows`` are taken up to the first of numbers, None where there is
+    none in the first rows: then their first one holds the names.
+    """
+    above: list[list[str]] = []
+    first: Row | None = None
+    for row in islice(rows, _BANNER_ROWS):
+        cells = _filled(row)
+        if len(cells) and all(map(_is_number, cells)):
+            first = row
+            break
+        above.append([str(cell).strip() for cell in cells])
+    width = max((len(row) for row in above[:1]), default=0) if first is None else len(_filled(first))
+    named_rows = [row for row in (above[:1] if first is None else above) if len(row) == width]
+    if not width or (above and not named_rows):
+        remedy = "Put the names of the columns into the row above the numbers"
+        raise InputError("no row names the columns", place=f"rows 1 to {len(above) or 1}", remedy=remedy)
+    names, units = names_and_units(named_rows, width)
+    return names, units, first, len(above)
+
+
+def _filled(row: Row) -> Row:
+    """Cells of ``row`` up to the last that is not empty."""
+    n_cells = max((place + 1 for place, cell in enumerate(row) if cell != ""), default=0)
+    return row[:n_cells]
+
+
+def _is_number(cell: object) -> bool:
+    return isinstance(cell, (int, float)) and not isinstance(cell, bool)

@@ -72,10 +72,16 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     A history is called by the point and direction of its response, else by its first line of text. ``settings`` give
     the byte and object limits. Raises InputError for damage, a missing name, or a file without time histories.
     """
-    with _mapped(path) as data:
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         histories = _histories(data, settings)
         names = names_of(sources, tuple(histories), path)
         check_budget(sum(histories[name].n_points * 8 for name in names.values()), settings)
+        if not names:
+            first = {
+                name: history.even or _sampled(data, history, path, settings, most_bytes=_FEW_BYTES)[1]
+                for name, history in histories.items()
+            }
+            return _contents(histories, first).with_columns({}, ())
         sampled = {name: _sampled(data, histories[name], path, settings) for name in names.values()}
     columns = {name: column for name, (column, _) in sampled.items()}
     times = {name: time for name, (_, time) in sampled.items()}
@@ -87,23 +93,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     return _contents(histories, times).with_columns(
         names,
         [columns[name] for name in names.values()],
-        flags=[remark for number, remark in enumerate(flags) if remark not in flags[:number]],
+        flags=flags,
     )
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names, lengths, units and rates of the time histories of the universal file at ``path``.
-
-    Reads headers, and the first times where each sample has its own. ``settings`` give the object limit. Raises what
-    :func:`read` raises.
-    """
-    with _mapped(path) as data:
-        histories = _histories(data, settings)
-        times = {
-            name: history.even or _sampled(data, history, path, settings, most_bytes=_FEW_BYTES)[1]
-            for name, history in histories.items()
-        }
-    return _contents(histories, times)
 
 
 def _contents(histories: Mapping[str, _History], times: Mapping[str, TimeColumn]) -> Contents:
@@ -115,11 +106,6 @@ def _contents(histories: Mapping[str, _History], times: Mapping[str, TimeColumn]
     return Contents.of(
         "UFF", columns, rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0)
     )
-
-
-def _mapped(path: Path) -> mmap.mmap:
-    with path.open("rb") as stream:
-        return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
 
 def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]:

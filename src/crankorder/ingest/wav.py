@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,7 +19,6 @@ from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
     Contents,
     Described,
-    FloatArray,
     RawFile,
     Source,
     check_budget,
@@ -51,36 +50,33 @@ _TAIL_BYTES = 4_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class _Calibration:
+class _Channel:
+    """What a calibration says of a channel: its name, its unit, and the ``scale`` of a full-scale sample in that."""
+
     name: str
-    unit: str
-    scale: float  # of a full-scale sample, in unit
+    unit: str = "FS"
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """How the samples lie, as a ``fmt`` chunk says."""
+
+    n_channels: int
+    rate_hz: int
+    byte_rate: int
+    frame_bytes: int
+    n_bits: int
+    is_float: bool
 
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    rate_hz: int
-    n_channels: int
-    n_bits: int
-    is_float: bool
+    layout: _Layout
     data_start: int
     n_present: int
-    calibrations: tuple[_Calibration, ...]
-    flags: tuple[QualityFlag, ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the channels from the calibration, or their positions."""
-        names = tuple(calibration.name for calibration in self.calibrations)
-        if len(names) == self.n_channels == len(set(names)) and all(names):
-            return names
-        return tuple(str(number) for number in range(self.n_channels))
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of the channels: those of the calibration, or the full scale of the samples."""
-        known = tuple(calibration.unit for calibration in self.calibrations)
-        return known if len(known) == self.n_channels else ("FS",) * self.n_channels
+    channels: tuple[_Channel, ...]
+    flags: list[QualityFlag]
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, rows: slice | None = None) -> RawFile:
@@ -90,54 +86,30 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     give the byte limit; ``rows``: of its samples, None for all. Raises InputError for a truncated or damaged file.
     """
     header = _header_of(path, settings)
-    names = names_of(sources, header.names, path)
-    numbers = [header.names.index(name) for name in names.values()]
-    frame_bytes = header.n_channels * header.n_bits // 8
-    check_budget(header.n_present * header.n_channels * 8, settings)
+    layout, all_names = header.layout, [channel.name for channel in header.channels]
+    names = names_of(sources, all_names, path)
+    check_budget(header.n_present * layout.n_channels * 8, settings)
     wanted = part_of(header.n_present, rows)
-    wide = header.n_bits == 64 or (header.n_bits == 32 and not header.is_float)
+    wide = layout.n_bits == 64 or (layout.n_bits == 32 and not layout.is_float)
     kind = (wanted.stop - wanted.start, np.float64 if wide else np.float32)
-    room = rows_for([kind] * len(numbers), in_memory_bytes=settings.in_memory_bytes)
+    room = rows_for([kind] * len(names), in_memory_bytes=settings.in_memory_bytes)
+    full_scale = 1.0 if layout.is_float else 2.0 ** (layout.n_bits - 1)
     with path.open("rb") as stream:
-        stream.seek(header.data_start + wanted.start * frame_bytes)
-        for part in blocks(kind[0]):
-            frames = _decoded(stream.read((part.stop - part.start) * frame_bytes), header)
-            for row, number in zip(room, numbers, strict=True):
+        stream.seek(header.data_start + wanted.start * layout.frame_bytes)
+        for part in blocks(kind[0] if names else 0):
+            frames = _decoded(stream.read((part.stop - part.start) * layout.frame_bytes), layout)
+            for row, number in zip(room, map(all_names.index, names.values()), strict=True):
                 row[part] = frames[:, number]
-                _scaled(row[part], header, number)
-    return _contents(header).with_columns(names, room, flags=list(header.flags))
-
-
-def _scaled(samples: FloatArray, header: _Header, number: int) -> None:
-    """Turn ``samples`` of channel ``number`` in place from steps of the converter into its unit."""
-    scale = 1.0 if header.is_float else 2.0 ** (1 - header.n_bits)
-    if header.calibrations:
-        scale *= header.calibrations[number].scale
-    if header.n_bits == 8:
-        samples -= 128.0
-    if scale != 1.0:
-        samples *= scale
-
-
-def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names, lengths, units and rate of the channels of the WAV file at ``path``; reads no samples.
-
-    ``settings`` are those of :func:`read`, whose errors it raises.
-    """
-    header = _header_of(path, settings)
-    check_budget(header.n_present * header.n_channels * 8, settings)
-    return _contents(header)
-
-
-def _contents(header: _Header) -> Contents:
-    named = zip(header.names, header.units, strict=True)
-    return Contents.of("WAV", {name: Described(header.n_present, unit, float(header.rate_hz)) for name, unit in named})
+                if layout.n_bits == 8:
+                    row[part] -= 128.0
+                row[part] *= header.channels[number].scale / full_scale
+    stated = {each.name: Described(header.n_present, each.unit, float(layout.rate_hz)) for each in header.channels}
+    return Contents.of("WAV", stated).with_columns(names, room, flags=header.flags)
 
 
 def _header_of(path: Path, settings: IngestSettings) -> _Header:
     size = path.stat().st_size
-    layout: bytes | None = None
-    found = _Calibrated()
+    layout, found = b"", _Notes()
     start, length, is_open = -1, 0, False
     with path.open("rb") as stream:
         declared = struct.unpack("<4sI", stream.read(8).ljust(8, b"\0"))[1] + 8
@@ -155,7 +127,7 @@ def _header_of(path: Path, settings: IngestSettings) -> _Header:
                 layout = stream.read(min(n_bytes, 64))
             else:
                 found.look_into(name, stream.read(min(n_bytes, _MOST_OF_CHUNK)))
-        if layout is None or len(layout) < 16 or start < 0 or (length == 0 and not is_open):
+        if len(layout) < 16 or start < 0 or (length == 0 and not is_open):
             raise InputError(f"truncated: {size} bytes hold no samples", remedy=_COPY)
         stray = None if _LEA in found.seen else _stray_chunk(stream, start if is_open else start + length, size)
     if stray is not None:
@@ -164,7 +136,7 @@ def _header_of(path: Path, settings: IngestSettings) -> _Header:
         length = (size if stray is None else stray[0]) - start
     elif start + length <= size < declared - 1 < _UNKNOWN_FROM:  # the last byte may be that which fills up an odd chunk
         raise InputError(f"truncated after the samples: {size} of {declared} bytes", remedy=_COPY)
-    return _checked(path, layout, start, length, min(length, size - start), found, is_open=is_open)
+    return _checked(path, _layout_of(layout), start, (length, min(length, size - start)), found, is_open=is_open)
 
 
 def _is_filled_in(stream: BinaryIO, start: int, length: int, size: int) -> bool:
@@ -236,13 +208,13 @@ def _stray_chunk(stream: BinaryIO, begin: int, size: int) -> tuple[int, bytes] |
     return (begin + place, tail[place + 8 : place + 8 + length]) if place + 8 + length <= len(tail) else None
 
 
-class _Calibrated:
+@dataclass(slots=True)
+class _Notes:
     """What the chunks beside the samples say of a calibration."""
 
-    def __init__(self) -> None:
-        self.calibrations: tuple[_Calibration, ...] = ()
-        self.seen: set[bytes] = set()
-        self.doubts: list[str] = []
+    channels: tuple[_Channel, ...] = ()
+    seen: set[bytes] = field(default_factory=set)
+    doubts: list[str] = field(default_factory=list)
 
     def look_into(self, name: bytes, chunk: bytes) -> None:
         """Take the calibrations of the ``chunk``, or note that it speaks of one that is not understood."""
@@ -250,7 +222,7 @@ class _Calibrated:
         shown = printable(name.decode("latin-1").strip(), 8)
         if name == _LEA:
             try:
-                self.calibrations = _calibrations(chunk)
+                self.channels = _calibrations(chunk)
             except ValueError as error:
                 self.doubts.append(f"its calibration (chunk {shown}) is not understood: {error}")
         elif (word := _SPEAKS_OF_SCALE.search(chunk.replace(b"\0", b""))) is not None:
@@ -258,60 +230,58 @@ class _Calibrated:
             self.doubts.append(f"its chunk {shown} speaks of a calibration that is not read: {spoken!r}")
 
 
-def _layout_of(layout: bytes) -> tuple[int, int, int, int, int, int]:
-    """Format code, channels, rate, bytes per second and per frame, and bits of a ``fmt`` chunk that is read."""
-    code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = struct.unpack_from("<HHIIHH", layout)
-    if code == _EXTENSIBLE and len(layout) >= 26:
-        code = struct.unpack_from("<H", layout, 24)[0]
-    allowed = {_PCM: (8, 16, 24, 32), _FLOAT: (32, 64)}.get(code, ())
-    if n_bits not in allowed:
-        raise InputError(
-            "the sample format is not supported",
-            found=f"format code {code} with {n_bits} bits",
-            allowed="8, 16, 24 or 32-bit integers, 32 or 64-bit floats",
-            remedy="Export as 16-bit or float WAV",
-        )
+def _layout_of(chunk: bytes) -> _Layout:
+    """The layout that a ``fmt`` chunk states, of those that are read."""
+    code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = struct.unpack_from("<HHIIHH", chunk)
+    if code == _EXTENSIBLE and len(chunk) >= 26:
+        code = struct.unpack_from("<H", chunk, 24)[0]
+    if n_bits not in {_PCM: (8, 16, 24, 32), _FLOAT: (32, 64)}.get(code, ()):
+        allowed, found = "8, 16, 24 or 32-bit integers, 32 or 64-bit floats", f"format code {code} with {n_bits} bits"
+        remedy = "Export as 16-bit or float WAV"
+        raise InputError("the sample format is not supported", found=found, allowed=allowed, remedy=remedy)
     if not (n_channels and rate_hz and frame_bytes == n_channels * n_bits // 8):
-        raise InputError(
-            "the header contradicts itself",
-            found=f"{n_channels} channels of {n_bits} bits at {rate_hz} Hz in frames of {frame_bytes} bytes",
-        )
-    return code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits
+        found = f"{n_channels} channels of {n_bits} bits at {rate_hz} Hz in frames of {frame_bytes} bytes"
+        raise InputError("the header contradicts itself", found=found)
+    return _Layout(n_channels, rate_hz, byte_rate, frame_bytes, n_bits, code == _FLOAT)
 
 
 def _checked(
-    path: Path, layout: bytes, data_start: int, declared: int, present: int, found: _Calibrated, *, is_open: bool
+    path: Path, layout: _Layout, data_start: int, n_bytes: tuple[int, int], found: _Notes, *, is_open: bool
 ) -> _Header:
-    code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = _layout_of(layout)
-    if present < _MIN_PRESENT * declared:
-        raise InputError(f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples", remedy=_COPY)
-    n_declared, n_present = declared // frame_bytes, present // frame_bytes
+    """The header of a file of whose samples ``n_bytes`` are declared and present; what is ``is_open`` was streamed."""
+    n_channels, frame_bytes, channels = layout.n_channels, layout.frame_bytes, found.channels
+    n_declared, n_present = (count // frame_bytes for count in n_bytes)
+    if n_bytes[1] < _MIN_PRESENT * n_bytes[0]:
+        raise InputError(f"truncated: {n_present} of {n_declared} samples", remedy=_COPY)
     doubts = list(found.doubts)
-    calibrations = found.calibrations
-    if calibrations and len(calibrations) != n_channels:
-        doubts.append(f"its calibration (LEA chunk) is for {len(calibrations)} channels, the samples have {n_channels}")
-        calibrations = ()
+    if channels and len(channels) != n_channels:
+        doubts.append(f"its calibration (LEA chunk) is for {len(channels)} channels, the samples have {n_channels}")
+        channels = ()
     faults: dict[str, str] = {}
     if n_present < n_declared or is_open:
         lacks = f"its writer did not fill in how many samples there are: {n_present} are there, and more may be lost"
         faults["missing_data"] = lacks if is_open else f"truncated: {n_present} of {n_declared} samples"
-    if byte_rate not in (0, rate_hz * frame_bytes):
-        other = f"{byte_rate} bytes per second, which are {byte_rate / frame_bytes:.6g} Hz"
-        faults["header_rate_disagrees"] = f"the header states {rate_hz} Hz, and {other}; the first is taken"
-    if doubts and not calibrations:
+    if layout.byte_rate not in (0, layout.rate_hz * frame_bytes):
+        other = f"{layout.byte_rate} bytes per second, which are {layout.byte_rate / frame_bytes:.6g} Hz"
+        faults["header_rate_disagrees"] = f"the header states {layout.rate_hz} Hz, and {other}; the first is taken"
+    if doubts and not channels:
         shown = "; ".join(doubts[:3])
         faults["calibration_unknown"] = f"{shown}: levels are fractions of full scale; state a sensitivity"
-    flags = tuple(flag(path, name, "suspect", detail) for name, detail in faults.items())
-    return _Header(rate_hz, n_channels, n_bits, code == _FLOAT, data_start, n_present, calibrations, flags)
+    flags = [flag(path, name, "suspect", detail) for name, detail in faults.items()]
+    channels = channels or tuple(_Channel("") for _ in range(n_channels))
+    names = {channel.name for channel in channels}
+    if len(names) < n_channels or "" in names:
+        channels = tuple(replace(channel, name=str(number)) for number, channel in enumerate(channels))
+    return _Header(layout, data_start, n_present, channels, flags)
 
 
-def _calibrations(chunk: bytes) -> tuple[_Calibration, ...]:
+def _calibrations(chunk: bytes) -> tuple[_Channel, ...]:
     """Calibrations of an ``LEA`` chunk, decoded from recordings of which the physical values are known.
 
     Per channel: ``le`` and two digits, length, float32 full scale, name and unit (each a length and its characters),
     float32 offset (0 wherever seen), float32 factor. Raises ValueError saying what is not so.
     """
-    found: list[_Calibration] = []
+    found: list[_Channel] = []
     position = 0
     try:
         while position + 8 <= len(chunk) and chunk[position : position + 2] == b"le":
@@ -326,7 +296,7 @@ def _calibrations(chunk: bytes) -> tuple[_Calibration, ...]:
                 raise ValueError(
                     f"channel {len(found)} has full scale {full_scale:g}, offset {offset:g}, factor {factor:g}"
                 )
-            found.append(_Calibration(name.decode("latin-1"), unit.decode("latin-1"), scale))
+            found.append(_Channel(name.decode("latin-1"), unit.decode("latin-1"), scale))
             position += 8 + length
     except struct.error:
         raise ValueError(f"the record of channel {len(found)} is cut short") from None
@@ -335,12 +305,12 @@ def _calibrations(chunk: bytes) -> tuple[_Calibration, ...]:
     return tuple(found)
 
 
-def _decoded(data: bytes, header: _Header) -> np.ndarray[Any, np.dtype[Any]]:
+def _decoded(data: bytes, layout: _Layout) -> np.ndarray[Any, np.dtype[Any]]:
     """Samples (frame, channel) in the file's own type; 24-bit integers widen to 32."""
-    if header.n_bits == 24:
+    if layout.n_bits == 24:
         octets = np.frombuffer(data, np.uint8).reshape(-1, 3)
         wide = np.zeros((len(octets), 4), np.uint8)
         wide[:, 1:] = octets
-        return (wide.view("<i4") >> 8).reshape(-1, header.n_channels)
-    kind = "f" if header.is_float else "u" if header.n_bits == 8 else "i"
-    return np.frombuffer(data, f"<{kind}{header.n_bits // 8}").reshape(-1, header.n_channels)
+        return (wide.view("<i4") >> 8).reshape(-1, layout.n_channels)
+    kind = "f" if layout.is_float else "u" if layout.n_bits == 8 else "i"
+    return np.frombuffer(data, f"<{kind}{layout.n_bits // 8}").reshape(-1, layout.n_channels)
