@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.settings import load_settings
-from crankorder.synth.poles import Poles
 from made.recordings import run_up, steady
 
 Array = NDArray[np.float64]
@@ -181,15 +180,3 @@ def with_pair(made: Structure, apart: float) -> Structure:
         drive=np.insert(made.drive, 1, np.roll(made.drive[0], 1), axis=0),
         order_force=np.insert(made.order_force, 2, made.order_force[:, 1], axis=1),
     )
-
-
-def frequency_response(poles: Poles, frequency_hz: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Complex acceleration per force (1/kg) of ``poles`` in the steady state, shape (channel, axis, frequency).
-
-    ``frequency_hz``: any sign, shape (frequency,).
-    """
-    s = 2j * np.pi * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64))
-    near, far = 0.5 / (s - poles.pole_per_s[:, None]), 0.5 / (s - poles.pole_per_s.conj()[:, None])
-    response = np.einsum("cp,pa,pf->caf", poles.output, poles.input, near)
-    response += np.einsum("cp,pa,pf->caf", poles.output.conj(), poles.input, far)
-    return response + poles.direct[:, :, None]

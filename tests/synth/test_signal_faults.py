@@ -138,17 +138,12 @@ def test_only_the_named_recordings_and_channels_have_a_fault():
     assert (signal[0] == CLEAN[0]).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("fault", "place"),
-    [
-        (Dropout(kind="dropout", at_s=8.0, duration_s=1.0), "at_s"),
-        (NotANumber(kind="not_a_number", at_s=100.0), "at_s"),
+def test_what_a_recording_is_too_short_for_is_told_beforehand():
+    for fault, place in (
+        (Dropout(kind="dropout", at_s=8.0, duration_s=1.0), "at_s"), (NotANumber(kind="not_a_number", at_s=100.0), "at_s"),
         (IepeOverload(kind="iepe_overload", at_s=8.5), "at_s"),
         (DroppedSamples(kind="dropped_samples", at_s=7.0, count=6000), "count"),
         (Spikes(kind="spikes", count=N + 1), "count"),
-    ],
-)
-def test_what_a_recording_is_too_short_for_is_told_beforehand(fault, place):
-    (told_fault,) = impossible_faults((Drift(kind="drift"), fault), n_samples=N, duration_s=N / RATE_HZ)
-    assert told_fault[1] == f"signal_faults.1.{place}"
+    ):  # fmt: skip
+        (told_fault,) = impossible_faults((Drift(kind="drift"), fault), n_samples=N, duration_s=N / RATE_HZ)
+        assert told_fault[1] == f"signal_faults.1.{place}"
