@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from machines import score
 from machines.baseline import SET_SEEDS, comparison_table, comparisons, fallen, holm, read_baseline
 from machines.bound import Bound, bound_of, standard_errors
 from machines.draw import CLASSES
@@ -320,13 +319,3 @@ def test_a_part_that_is_not_there_is_made_up(scene, cause):
     findings["orders"][0]["explained_by"] = cause
     parts = [one.good for one in judged(*scene, Said(findings, None)) if one.kind == "part real"]
     assert parts == ([] if PARTS_SAID[cause] is None else [float(PARTS_SAID[cause])])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("class_name", "seed"),
-    [("up and down, toothed wheel", 922302313), ("swing, swept", 1190902672), ("step in sweep", 303885219)],
-)
-def test_machines_that_once_stopped_the_program_are_analysed(class_name, seed):
-    """Two lines parted in a sweep, a followed order without rows, speeds too close for any slope."""
-    assert score.score_scene(score.Scene(class_name, seed)).message == ""

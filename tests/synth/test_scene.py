@@ -127,9 +127,9 @@ IMPOSSIBLE = [
     ("[wrong_labels]\npulses_per_rev = 7\n", "there is no encoder to be labelled"),
     ("[speed_wander]\ncorner_hz = 5000.0\nstd_rpm = 0.2\n", "changes above Nyquist"),
     (
-        {"list_rpm = [600.0, 612.5, 600.0]": "list_rpm = [600.0]", "[[channels]]": (
-            "[in_cycle_speed]\nby_order = [{ order = 0.333, percent = 1.0 }, { order = 0.5, percent = 1.0 }]\n[[channels]]"
-        )}, "cycle",
+        {"600.0, 612.5, 600.0": "600.0", "[[channels]]": (
+            "[in_cycle_speed]\nby_order = [{ order = 0.333, percent = 1 }, { order = 0.5, percent = 1 }]\n[[channels]]"
+        )}, "in_cycle_speed: orders of the in-cycle speed have no common cycle",
     ),
     (
         {SPEEDS: PROFILE.format("600.0, -900.0", "0.0, 1.0"), "[[channels]]": FALLS + "[[channels]]"},

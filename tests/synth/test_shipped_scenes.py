@@ -11,7 +11,7 @@ from made.command import crankorder, done
 from made.contradictions import contradictions
 
 ELSEWHERE = {"thesis-second-motoring", "thesis-literal-fourfold"}
-"""Scenes that tests/truth and the score of the source's campaign analyse."""
+"""The campaign of 35 speeds of the source, which tests/truth analyses, and its variant."""
 
 
 def line(truth, findings, channel, order, *, folded_to=None):

@@ -140,8 +140,8 @@ def test_only_the_named_recordings_and_channels_have_a_fault():
 
 def test_what_a_recording_is_too_short_for_is_told_beforehand():
     for fault, place in (
-        (Dropout(kind="dropout", at_s=8.0, duration_s=1.0), "at_s"), (NotANumber(kind="not_a_number", at_s=100.0), "at_s"),
-        (IepeOverload(kind="iepe_overload", at_s=8.5), "at_s"),
+        (Dropout(kind="dropout", at_s=8.0, duration_s=1.0), "at_s"),
+        (NotANumber(kind="not_a_number", at_s=100.0), "at_s"), (IepeOverload(kind="iepe_overload", at_s=8.5), "at_s"),
         (DroppedSamples(kind="dropped_samples", at_s=7.0, count=6000), "count"),
         (Spikes(kind="spikes", count=N + 1), "count"),
     ):  # fmt: skip
