@@ -47,31 +47,19 @@ ENGINES: dict[str, tuple[list[Throw], tuple[bool, ...]]] = {
     "inline-2, 360°": (row(0, 0), (False, False, True, True)),
     "inline-2, 270°": (row(0, 270), (False, True, False, False)),
     "inline-3": (row(0, 240, 120), (True, True, False, False)),
-    "inline-3, two-stroke": (row(0, 120, 240), (True, True, False, False)),
     "inline-4, flat": (row(0, 180, 180, 0), (True, False, True, True)),
-    "inline-4, cross": (row(0, 90, 270, 180), (True, True, False, True)),
     "inline-5": (row(0, 216, 144, 72, 288), (True, True, False, False)),
     "inline-6": (row(0, 120, 240, 240, 120, 0), (True, True, True, True)),
-    "v-twin, 45°": (vee(22.5, 0), (False, False, True, True)),
     "v-twin, 60°": (vee(30, 0), (False, False, True, True)),
     "v-twin, 90°": (vee(45, 0, stagger_m=0.025), (False, False, False, False)),
-    "v4, 90°, 180° crank": (vee(45, 0, 180), (True, False, False, True)),
     "v6, 60°, pins split by 60°": (vee(30, 0, 240, 120, split_deg=60), (True, True, False, False)),
-    "v6, 90°, pins split by 30°": (vee(45, 0, 240, 120, split_deg=-30), (True, True, False, False)),
     "v6, 90°, common pins": (vee(45, 0, 240, 120), (True, True, False, False)),
     "v8, 90°, cross": (vee(45, 0, 90, 270, 180), (True, True, False, True)),
-    "v8, 90°, flat": (vee(45, 0, 180, 180, 0), (True, False, True, True)),
     "v12, 60°": (vee(30, 0, 120, 240, 240, 120, 0), (True, True, True, True)),
-    "boxer-2": (boxer(0), (True, True, False, False)),
     "boxer-4": (boxer(0, 180), (True, True, True, False)),
     "boxer-6": (boxer(0, 120, 240), (True, True, True, True)),
     "w-3": ([(0, bank, 0.0) for bank in (-60.0, 0.0, 60.0)], (False, False, True, True)),
-    "w-12": (
-        [(pin, bank, 0.1 * (n - 1.5)) for n, pin in enumerate((0, 180, 180, 0)) for bank in (-60.0, 0.0, 60.0)],
-        (True, False, True, True),
-    ),
     "radial-5": ([(0, 72.0 * n, 0.0) for n in range(5)], (False, True, True, True)),
-    "radial-7": ([(0, 360 / 7 * n, 0.0) for n in range(7)], (False, True, True, True)),
 }
 
 
@@ -236,7 +224,7 @@ def test_a_design_takes_any_order_asked_for():
 SHARES = {
     "inline-3": (None, 0.5), "inline-5": (None, 0.5), "inline-2, 180°": (None, 0.5), "inline-2, 360°": (0.5, None),
     "v8, 90°, cross": (None, 1.0), "v6, 90°, common pins": (None, 1.0), "v6, 60°, pins split by 60°": (None, 0.5),
-    "v-twin, 60°": (2 / 3, None), "v-twin, 90°": (1.0, 0.0), "radial-7": (1.0, None),
+    "v-twin, 60°": (2 / 3, None), "v-twin, 90°": (1.0, 0.0), "radial-5": (1.0, None),
 }  # fmt: skip
 """Shares of the primary force and couple that turn with the crank (textbooks)."""
 

@@ -1,17 +1,14 @@
 """The encoder against the counts and angles that its motion implies, and as it is decoded."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from crankorder.engine.torsional_fluctuation import Lag
+from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.uneven_wheel import wheel_of as numbered_wheel
-from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.encoder import encoder_signals, encoder_turn, passed_pulses, wheel_of
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import DamagedLine, DoublePulses, Encoder, LostPulses
@@ -128,19 +125,9 @@ def faulty(encoder, faults, *, recording="made"):
     return signals(LONG_RUN, encoder, faults, recording=recording)
 
 
-def numbered(made, encoder):
-    how: dict[str, Any] = {"rate_hz": RATE_HZ, "kind": "square", "edge": "rising", "settings": SHAFT}
-    pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
-    index_s = None if made.index is None else find_pulses(made.index, pulses_per_rev=1, **how).time_s
-    return number_teeth(
-        pulses.time_s, numbered_wheel(encoder.pulses_per_rev, encoder.missing_teeth),
-        index_time_s=index_s, noise_s=pulses.noise_s, settings=SHAFT,
-    )  # fmt: skip
-
-
-def found(made, encoder):
+def remarks_on(made, encoder=ENCODER):
     """Flag and detail of everything that the decoder remarks on."""
-    return {flag: detail for flag, _, detail in numbered(made, encoder).flags}
+    return {flag["flag"]: flag["detail"] for flag in flags_of(decoded(made, encoder))}
 
 
 def only_record(made, flag):
@@ -150,25 +137,23 @@ def only_record(made, flag):
 
 
 @pytest.mark.parametrize("wheel", [{}, {"missing_teeth": 2, "index": False}], ids=["60", "60-2"])
-def test_lost_pulses_are_found_by_number_and_tooth(wheel):
+def test_lost_pulses_are_found_by_number_and_are_those_of_the_record(wheel):
     encoder = ENCODER.model_copy(update=wheel)
     made = faulty(encoder, [LostPulses(kind="lost_pulses", count=7)])
     record = only_record(made, "encoder_missing_pulse")
     assert record["count"] == len(record["times_s"]) == len(record["lines"]) == 7
-    teeth = numbered(made, encoder)
-    assert [flag for flag, _, _ in teeth.flags] == ["encoder_missing_pulse"]
-    assert teeth.flags[0][2].startswith("7 lost pulses")
-    assert teeth.n_repaired == 7
-    lost = np.setdiff1d(np.arange(teeth.tooth[0], teeth.tooth[-1]), teeth.tooth)
-    places = np.rint(lost - teeth.index_tooth).astype(int) % 60
-    np.testing.assert_array_equal(places[places < 60 - encoder.missing_teeth], record["lines"])
+    remarks = remarks_on(made, encoder)
+    assert list(remarks) == ["encoder_missing_pulse"]
+    assert remarks["encoder_missing_pulse"].startswith("7 lost pulses")
+    place = encoder_turn(LONG_RUN.at(np.array(record["times_s"]))[0], encoder) * 60
+    np.testing.assert_array_equal(np.rint(place) % 60, record["lines"])
 
 
 def test_a_damaged_line_is_found_at_its_angle():
     made = faulty(ENCODER, [DamagedLine(kind="damaged_line", lines=(13, 70))])
     record = only_record(made, "encoder_damaged_line")
     assert (record["lines"], record["angles_deg"]) == ([13], [78.0])
-    remarks = found(made, ENCODER)
+    remarks = remarks_on(made)
     assert set(remarks) == {"encoder_missing_pulse", "encoder_damaged_line"}
     assert remarks["encoder_missing_pulse"].startswith(f"{record['count']} lost pulses")
     angle_deg = float(remarks["encoder_damaged_line"].split(" at ")[1].split()[0].rstrip(","))
@@ -179,12 +164,9 @@ def test_double_pulses_are_found_and_removed():
     made = faulty(ENCODER, [DoublePulses(kind="double_pulses", count=12, delay_s=2e-4)])
     record = only_record(made, "encoder_double_pulse")
     assert record["count"] == len(record["times_s"]) == 12
-    remarks = found(made, ENCODER)
+    remarks = remarks_on(made)
     assert set(remarks) == {"encoder_double_pulse"}
     assert remarks["encoder_double_pulse"].startswith("12 false pulses")
-    teeth = numbered(made, ENCODER)
-    crank_rev = LONG_RUN.at(teeth.time_s)[0] - teeth.tooth / 60
-    assert np.ptp(crank_rev) * 360 < 0.25
 
 
 def test_faults_act_on_their_recordings_only_and_one_changes_no_other():

@@ -109,13 +109,10 @@ def test_a_piston_shakes_and_rolls_the_crankcase_under_any_motion(scene_with, of
 
 @pytest.mark.parametrize("more", [{}, {"in_cycle_speed": IN_CYCLE}])
 def test_the_order_lines_of_a_late_channel_are_those_of_its_samples(scene_with, more):
-    late = Acquisition(delay_s={"Z": 7.7e-4})
     effects = ["engine_forces", "injected_orders"] + ([] if more else ["bearing_lines"])
-    scene = scene_with(*effects, acquisition=late, **more)
-    run = scene.runs[1]
-    signal = sensed(scene, run, floor_of(scene, 8000.0))
-    rev = crank_motion(scene, run).at(np.arange(scene.n_samples) / 8000.0)[0]
-    lines = order_lines(scene, run)
+    scene = scene_with(*effects, acquisition=Acquisition(delay_s={"Z": 7.7e-4}), **more)
+    signal, lines = sensed(scene, scene.runs[1], floor_of(scene, 8000.0)), order_lines(scene, scene.runs[1])
+    rev = crank_motion(scene, scene.runs[1]).at(np.arange(scene.n_samples) / 8000.0)[0]
     expected = (lines.amplitude @ np.exp(2j * np.pi * np.outer(lines.order, rev))).real
     assert np.abs(signal - expected).max() < 1e-10 * np.abs(signal).max()
 
@@ -133,14 +130,12 @@ def test_a_force_that_turns_the_same_way_backwards_is_told_for_backwards_speeds(
 
 
 def test_a_crossing_is_excited_where_a_force_of_the_order_drives_the_mode(scene_with):
-    scene = scene_with("injected_orders", "bearing_lines", injected_orders=(_force("RY"), _force("Z", order=4.0)))
-    line = scene.bearing_lines[0].model_copy(update={"line": "N*fs"})
-    force = _force("Z", order=5.5)
-    alone = truth_of(scene.model_copy(update={"bearing_lines": (line,)}))
-    both = truth_of(
-        scene.model_copy(update={"bearing_lines": (line,), "injected_orders": (*scene.injected_orders, force)})
-    )
-    excited = [{(r["order"], r["mode_hz"]) for r in truth["crossings"] if r["excited"]} for truth in (alone, both)]
+    forces = (_force("RY"), _force("Z", order=4.0))
+    scene = scene_with("injected_orders", "bearing_lines", injected_orders=forces)
+    line, excited = scene.bearing_lines[0].model_copy(update={"line": "N*fs"}), []
+    for injected in (forces, (*forces, _force("Z", order=5.5))):
+        truth = truth_of(scene.model_copy(update={"bearing_lines": (line,), "injected_orders": injected}))
+        excited.append({(r["order"], r["mode_hz"]) for r in truth["crossings"] if r["excited"]})
     # RY drives the mode at 60 Hz alone
     assert excited[0] == {(6.5, 60.0), (4.0, 60.0), (4.0, 230.0)}
     assert excited[1] - excited[0] == {(5.5, 60.0), (5.5, 230.0)}
