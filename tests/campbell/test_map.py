@@ -126,11 +126,12 @@ def test_what_does_not_turn_keeps_its_start():
 
 
 def test_rms_is_the_peak_over_the_square_root_of_two():
-    band, knots = steady([line(1.0, 0.3)], speed_rpm=1200.0, duration_s=9.0, rate_hz=2000.0)
-    rms = SETTINGS.model_copy(update={"amplitude_scaling": "rms"})
-    peak, root = (
-        campbell_map([frequency_frames(band, knots, settings=s)], speed_bin_rpm=25.0) for s in (SETTINGS, rms)
+    recording, rms = (
+        steady([line(1.0, 0.3)], speed_rpm=1200.0, duration_s=9.0, rate_hz=2000.0),
+        {"amplitude_scaling": "rms"},
     )
+    frames = (frequency_frames(*recording, settings=s) for s in (SETTINGS, SETTINGS.model_copy(update=rms)))
+    peak, root = (campbell_map([own], speed_bin_rpm=25.0) for own in frames)
     assert (peak.attrs["amplitude_scaling"], root.attrs["amplitude_scaling"]) == ("peak", "rms")
     np.testing.assert_allclose(root["amplitude"] * 2**0.5, peak["amplitude"], rtol=1e-12)
     np.testing.assert_array_equal(root["psd"], peak["psd"])

@@ -108,14 +108,10 @@ def test_channels_do_not_touch_each_other():
 
 
 def test_threads_get_the_same_bytes_as_one():
-    signals = np.random.default_rng(3).standard_normal((3, 5000))
-    starts = frame_starts(5000, 256, 100)
-
-    def spectra(_):
-        return FrameTransform(hann(256)).spectra(signals, starts).tobytes()
-
+    signals, starts = np.random.default_rng(3).standard_normal((3, 5000)), frame_starts(5000, 256, 100)
     with ThreadPoolExecutor(4) as pool:
-        assert len(set(pool.map(spectra, range(16)))) == 1
+        made = list(pool.map(lambda _: FrameTransform(hann(256)).spectra(signals, starts).tobytes(), range(16)))
+    assert len(set(made)) == 1
 
 
 def test_a_padded_plan_forgets_the_frames_of_a_longer_one():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from machines.baseline import SET_SEEDS, comparison_table, comparisons, fallen, holm, read_baseline
+from machines.baseline import SET_SEEDS, comparison_table, comparisons, fallen, read_baseline
 from machines.bound import Bound, bound_of, standard_errors
 from machines.draw import CLASSES
 from machines.folder import Take
@@ -279,11 +279,6 @@ def test_fresh_machines_are_held_against_the_share_of_the_whole_baseline():
     assert reason.startswith("fresh machines, lock: 4 of 60 machines, in the baseline 0 of 600")
     dead = [replace(score, message="boom") for score in scores_of([0.0] * 60)]
     assert any(reason.startswith("fresh machines, failed") for reason in fallen([], baseline, dead))
-
-
-def test_chances_are_corrected_as_holm_says():
-    # Holm (1979): the least times three, the next times two, the last once, none below the one before
-    assert holm([0.04, 0.01, 0.03]) == pytest.approx([0.06, 0.03, 0.06])
 
 
 def test_every_set_repeats_all_classes_and_the_baseline_holds_just_these():

@@ -1,6 +1,5 @@
 """A headless Chromium that a test drives over its debugging pipe, with real mouse and keys."""
 
-import base64
 import fcntl
 import json
 import os
@@ -123,8 +122,3 @@ class Chromium:
         self.ask("Input.dispatchKeyEvent", type="keyDown", key=name, code=name, **text)
         self.ask("Input.dispatchKeyEvent", type="keyUp", key=name, code=name)
         self.settle()
-
-    def picture(self, path: Path) -> None:
-        """Write what the whole page looks like to ``path``."""
-        made = self.ask("Page.captureScreenshot", format="png", captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(made["data"]))

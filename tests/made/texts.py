@@ -1,14 +1,9 @@
-"""The texts of a matplotlib figure, and those that are not legible."""
+"""Texts of a matplotlib figure that are not legible."""
 
 from itertools import combinations
 from typing import Any
 
 from matplotlib.text import Text
-
-
-def words(figure: Any) -> list[str]:
-    """Visible texts of a figure."""
-    return [text.get_text() for text in figure.findobj(Text) if text.get_visible()]
 
 
 def overlaps(figure: Any) -> list[tuple[str, str]]:
