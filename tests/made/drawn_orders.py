@@ -1,17 +1,18 @@
 """Orders through random structures, as complex amplitudes over the speeds: an exactly known truth for modal fits."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.crossings import crossings
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, OrderLine, SpeedVerdicts
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_responses import Block, Rows
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
+from made.found_lines import line
 from made.order_amplitudes import order_map_of
 
 Array = NDArray[np.float64]
@@ -157,17 +158,11 @@ def orders_and_map(machine: DrawnMachine, seed: int) -> tuple[tuple[AgreedOrder,
     agreed = []
     for column, number in enumerate(numbers.tolist()):
         lines = []
-        for row, name in enumerate(CHANNELS):
-            size = np.abs(measured[row, :, column])
-            seen = np.flatnonzero(size > 6.0 * machine.error)
-            if len(seen):
-                lines.append(
-                    OrderLine(
-                        name, number, 1e-6, seen, speed[seen], size[seen], np.full(len(seen), machine.error),
-                        np.full(len(seen), 400.0), np.degrees(np.angle(measured[row, seen, column])),
-                        "locked to the shaft", 20.0,
-                    )
-                )  # fmt: skip
+        for name, row in zip(CHANNELS, measured[:, :, column], strict=True):
+            seen = np.flatnonzero(np.abs(row) > 6.0 * machine.error)
+            made = line(number, np.abs(row[seen]), channel=name, speed_rpm=speed[seen], error=machine.error)
+            own = {"seen": seen, "order_error": 1e-6, "degrees_of_freedom": np.full(len(seen), 400.0)}
+            lines += [replace(made, **own, phase_deg=np.degrees(np.angle(row[seen])))] * bool(len(seen))
         if lines:
             agreed.append(AgreedOrder(number, 1e-6, 30.0, "locked", None, tuple(lines)))
     return tuple(agreed), order_map

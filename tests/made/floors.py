@@ -98,12 +98,9 @@ def campbell_map_of(psd: Array, n_frames: int, speed_rpm: Sequence[float], resol
 
 def no_orders(campbell: xr.Dataset) -> xr.Dataset:
     """OrderMap without any order, for the speeds and channels of ``campbell``."""
-    dims = ("channel", "speed", "order")
     nothing = np.zeros((campbell.sizes["channel"], campbell.sizes["speed"], 0))
-    attrs = {"phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2}
-    names = ("coherent_amplitude", "standard_error", "degrees_of_freedom", "phase")
-    coords = {**named(campbell["channel"].values), "speed": campbell["speed"].values, "order": np.zeros(0)}
-    return xr.Dataset(dict.fromkeys(names, (dims, nothing)), coords=coords, attrs=attrs)
+    made = order_map_of(nothing, nothing, nothing, campbell["speed"].values, np.zeros(0))
+    return made.assign_coords(named(campbell["channel"].values))
 
 
 def orders_of(made: Made, forces: tuple[tuple[float, float], ...], *, error: float, seed: int) -> xr.Dataset:

@@ -27,6 +27,11 @@ from crankorder.synth.scene import Scene
 from crankorder.synth.write import truth_of
 
 RNG = np.random.default_rng(3)
+OF_LAG = np.array([0.5, 1.0, 2.0, 3.5])
+LAG = Lag(
+    order=OF_LAG, inertia=6e-3 / OF_LAG * np.exp(3j * OF_LAG), gas=3e-3 / OF_LAG * np.exp(1j * OF_LAG**2),
+    reference_rpm=1000.0,
+)  # fmt: skip
 ORDERS = (0.5, 1.0, 1.5, 2.0, 4.0, 20.0, 5.37, -1.0, 0.0, 33.5, 2.0)
 
 
@@ -145,62 +150,26 @@ def _force(direction, *, order=6.5):
     return InjectedOrder(order=order, direction=direction, force_n=30.0, at_speed_rpm=600.0)
 
 
-# Lines over one angle are lines over the other, as many samples and a Fourier transform find them.
-
-
-LINE_ORDERS = (0.0, 0.5, 1.0, 2.0, 2.0, 4.0, 5.3)
-RPM = 1300.0
-
-
-def _lag(size=1.0, orders=(0.5, 1.0, 2.0, 3.5)):
-    order = np.array(orders)
-    inertia = size * 6e-3 / order * np.exp(3j * order)
-    return Lag(order=order, inertia=inertia, gas=size * 3e-3 / order * np.exp(1j * order**2), reference_rpm=1000.0)
-
-
-def _worst(order, amplitude, signal, revs):
-    """Largest difference between given lines and those of samples over ``revs`` whole turns, over the largest line."""
-    expected = np.fft.rfft(signal, axis=1) * 2 / signal.shape[1]
+@pytest.mark.parametrize("rpm", [1300.0, -1300.0])
+def test_forces_of_an_uneven_rotation_are_lines_of_the_mean_rotation(rpm):
+    """As many samples of the mean rotation and a Fourier transform find them."""
+    orders, revs, n = (0.0, 0.5, 1.0, 2.0, 2.0, 4.0, 5.3), 20, 1 << 14
+    lines = some_lines(orders, inertia=np.isin(orders, (1.0, 4.0)))
+    order, amplitude = lines_in_time(lines, LAG, speed_rpm=rpm)
+    motion, mean_rev = Motion(start_rev=0.3, corners=((0.0, rpm),), lag=LAG), np.arange(n) / n * revs
+    forces = plain_forces(lines, *motion.at((mean_rev - motion.mean_start_rev) * 60 / rpm)).real.sum(axis=0)
+    expected = np.fft.rfft(forces, axis=1) * 2 / n
     expected[:, 0] /= 2
-    placed = np.zeros_like(expected)
-    places = np.rint(order * revs).astype(int)
-    np.testing.assert_allclose(order, places / revs, atol=1e-12)
-    assert np.unique(places).size == places.size
-    placed[:, places] = amplitude
-    return float(np.abs(placed - expected).max() / np.abs(expected).max())
-
-
-@pytest.mark.parametrize(("size", "rpm"), [(1.0, -RPM), (0.0, RPM), (5.0, RPM)])
-def test_forces_of_an_uneven_rotation_are_lines_of_the_mean_rotation(size, rpm):
-    lines, lag, revs, n = some_lines(LINE_ORDERS, inertia=np.isin(LINE_ORDERS, (1.0, 4.0))), _lag(size), 20, 1 << 14
-    order, amplitude = lines_in_time(lines, lag, speed_rpm=rpm)
-    motion = Motion(start_rev=0.3, corners=((0.0, rpm),), lag=lag)
-    mean_rev = np.arange(n) / n * revs
-    forces = plain_forces(lines, *motion.at((mean_rev - motion.mean_start_rev) * 60 / rpm))
-    signal = forces.real.sum(axis=0)
-    assert _worst(order, amplitude, signal, revs) < 2e-12
-
-
-def test_a_perfect_order_analysis_finds_the_lines_in_angle():
-    lag, revs, n = _lag(3.0), 20, 1 << 13
-    rng = np.random.default_rng(8)
-    of_time = np.array([0.0, 0.5, 2.0, 5.3, 11.5])
-    given = rng.normal(size=(2, 5)) + 1j * rng.normal(size=(2, 5))
-    order, amplitude = lines_in_angle(of_time, given, lag, speed_rpm=RPM)
-    motion = Motion(start_rev=0.0, corners=((0.0, RPM),), lag=lag)
-    angle = np.arange(n) / n * revs
-    time = motion.time_at(angle, (-1.0, 5.0))
-    mean_rev = motion.mean_start_rev + time * RPM / 60
-    signal = (given @ np.exp(2j * np.pi * np.outer(of_time, mean_rev))).real
-    assert _worst(order, amplitude, signal, revs) < 2e-12
+    found = np.zeros_like(expected)
+    found[:, np.rint(order * revs).astype(int)] = amplitude
+    assert np.abs(found - expected).max() < 2e-12 * np.abs(expected).max()
 
 
 def test_a_shaft_that_stops_is_refused():
-    one = np.ones((1, 1), dtype=complex)
     with pytest.raises(RequestError, match="stop within the cycle"):
-        lines_in_angle(np.array([1.0]), one, _lag(), speed_rpm=100.0)
+        lines_in_angle(np.array([1.0]), np.ones((1, 1), dtype=complex), LAG, speed_rpm=100.0)
     with pytest.raises(RequestError, match="stop within the cycle"):
-        lines_in_time(some_lines(LINE_ORDERS), _lag(), speed_rpm=0.0)
+        lines_in_time(some_lines(), LAG, speed_rpm=0.0)
 
 
 # The shaft turns within its cycle as the shares of its speed by order say.
