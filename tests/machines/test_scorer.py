@@ -8,11 +8,11 @@ import pytest
 import xarray as xr
 
 from machines.baseline import SET_SEEDS, comparison_table, comparisons, fallen, read_baseline
-from machines.bound import Bound, bound_of, standard_errors
+from machines.bound import bound_of, standard_errors
 from machines.draw import CLASSES
 from machines.folder import Take
 from machines.judge import Judgement, Said, judged
-from machines.machine import Encoder, FloatArray, Machine, Mode, Order, Profile
+from machines.machine import Encoder, Machine, Mode, Order, Profile
 from machines.score import scenes_of_set
 from machines.signals import order_envelope, sample_times
 from machines.table import DANGERS, SceneScore, share_of, table_text
@@ -67,9 +67,6 @@ def right_findings(machine):
 def scene():
     machine = stepped()
     return machine, takes_of(machine), bound_of(machine)
-
-
-Scene = tuple[Machine, tuple[Take, ...], Bound]
 
 
 def wrong(scene, findings):
@@ -134,7 +131,7 @@ def test_silence_is_no_fault_but_decides_nothing(scene):
 def tracks(machine, shift_rpm):
     """Tracks of the orders of ``machine``, each row ``shift_rpm`` away from where it belongs."""
     rpm = np.asarray(SPEEDS_RPM)
-    size: FloatArray = np.stack([np.abs(machine.steady_response(number, rpm)[0]) for number in range(2)])[None]
+    size = np.stack([np.abs(machine.steady_response(number, rpm)[0]) for number in range(2)])[None]
     dims = ("channel", "order", "speed")
     return xr.Dataset(
         {"amplitude_low": (dims, 0.995 * size), "amplitude_high": (dims, 1.005 * size)},
@@ -223,7 +220,7 @@ def scores_of(wrong, *, class_name="stepped", kind="mode real"):
 
 
 @pytest.mark.parametrize(("kind", "what"), [("mode real", "wrong"), ("mode found", "decided")])
-@pytest.mark.parametrize(("worse", "better", "falls"), [(13, 0, True), (11, 2, False), (3, 0, False), (0, 13, False)])
+@pytest.mark.parametrize(("worse", "better", "falls"), [(13, 0, True), (11, 2, False), (3, 0, False)])
 def test_a_class_has_fallen_where_a_sign_test_says_so(worse, better, falls, kind, what):
     before = scores_of([5.0] * 13, kind=kind) + scores_of([5.0] * 13, class_name="run-up")
     now = scores_of([6.0] * worse + [4.0] * better + [5.0] * (13 - worse - better), kind=kind)
@@ -234,11 +231,11 @@ def test_a_class_has_fallen_where_a_sign_test_says_so(worse, better, falls, kind
     assert any(reason.startswith(f"stepped: {what}") for reason in fallen(classes, before, [])) is falls
 
 
-@pytest.mark.parametrize("kind", DANGERS)
-def test_more_dangerous_statements_of_a_class_than_before_are_a_fall(kind):
-    before, now = scores_of([0.0, 2.0], kind=kind), scores_of([3.0, 0.0], kind=kind)
-    assert fallen(comparisons(before, now), before, []) == [f"stepped: {kind}: 3, before 2"]
-    assert fallen(comparisons(now, before), now, []) == []
+def test_more_dangerous_statements_of_a_class_than_before_are_a_fall():
+    for kind in DANGERS:
+        before, now = scores_of([0.0, 2.0], kind=kind), scores_of([3.0, 0.0], kind=kind)
+        assert fallen(comparisons(before, now), before, []) == [f"stepped: {kind}: 3, before 2"]
+        assert fallen(comparisons(now, before), now, []) == []
 
 
 def test_intervals_that_are_all_wider_are_a_fall_and_narrower_ones_are_none():
