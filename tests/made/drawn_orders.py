@@ -13,7 +13,7 @@ from crankorder.identify.modes.order_responses import Block, Rows
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
 from made.found_lines import line
-from made.order_amplitudes import order_map_of
+from made.order_amplitudes import modal_responses, order_map_of
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -53,15 +53,11 @@ class DrawnMachine:
     def amplitude(self, number: int, speed_rpm: Array, *, without: int | None = None) -> Complex:
         """Complex amplitude (channels, speeds) of order ``number``, one mode left out if asked."""
         item = self.orders[number]
-        s = 2j * np.pi * item.order * np.asarray(speed_rpm) / 60.0
         share = np.asarray(speed_rpm) / self.speed_rpm.max()
         force = (item.still + share**item.power) * np.exp(1j * item.turn * share)
-        made = np.repeat(item.rigid[:, None], len(s), axis=1).astype(complex)
-        for mode, (hz, zeta) in enumerate(zip(self.natural_hz, self.damping, strict=True)):
-            if mode != without:
-                w = 2.0 * np.pi * hz
-                made += item.residue[:, mode, None] * (s**2 / (s**2 + 2.0 * zeta * w * s + w**2))
-        return np.asarray(force * made)
+        modal = modal_responses(self.natural_hz, self.damping, item.order * np.asarray(speed_rpm) / 60.0)
+        kept = np.arange(len(modal)) != (-1 if without is None else without)
+        return np.asarray(force * (item.rigid[:, None] + item.residue[:, kept] @ modal[kept]))
 
     def amplification(self, number: int, mode: int, speed_rpm: Array) -> Array:
         """How many times larger (speeds,) order ``number`` is by ``mode``, the largest of all channels."""

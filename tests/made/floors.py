@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
-from made.order_amplitudes import order_map_of
+from made.order_amplitudes import modal_responses, order_map_of
 from made.recordings import named
 
 Array = NDArray[np.float64]
@@ -37,12 +37,8 @@ class Made:
 
     def response(self, frequency_hz: Array) -> NDArray[np.complex128]:
         """Acceleration per force (channel, force, frequency)."""
-        s = 2j * np.pi * frequency_hz
-        made = np.full((len(self.sensor[0]), len(self.drive[0]), len(s)), 0.002, dtype=complex)
-        for f, zeta, sensor, drive in zip(self.natural_hz, self.damping, self.sensor, self.drive, strict=True):
-            w = 2.0 * np.pi * f
-            made += np.outer(sensor, drive)[:, :, None] * (s**2 / (s**2 + 2.0 * zeta * w * s + w**2))
-        return made
+        modal = modal_responses(self.natural_hz, self.damping, frequency_hz)
+        return 0.002 + np.einsum("mc,mf,mw->cfw", self.sensor, self.drive, modal)
 
 
 def inside(fit: ModalFit, made: Made) -> bool:
