@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from crankorder.campbell.levels import recording_levels
 from crankorder.identify.levels import level_records
@@ -36,8 +37,7 @@ def levels(recording, speed_rpm):
     return made
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_mesh_above_the_band_is_found_with_its_size_and_order(seed):
     rng = np.random.default_rng(seed)
     rpm, order, size = rng.uniform(900, 3000), rng.uniform(40, 90), 10.0 ** rng.uniform(-1, 2)
@@ -53,30 +53,19 @@ def test_a_mesh_above_the_band_is_found_with_its_size_and_order(seed):
     assert float(made["share_above"]) == pytest.approx(size**2 / (size**2 + low**2), abs=0.02)
 
 
-@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 10), marks=pytest.mark.slow)])
-def test_noise_and_lines_inside_the_band_are_no_line_above_it(seeds):
-    rng = np.random.default_rng(11)
+def test_noise_lines_inside_the_band_and_a_light_mode_that_noise_makes_ring_are_no_line_above_it():
     at = np.arange(int(4 * RATE_HZ)) / RATE_HZ
-    for seed in seeds:
-        noise = np.random.default_rng(seed).standard_normal((2, at.size))
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        noise = rng.standard_normal((3, at.size))
         noise[1] = np.cumsum(noise[1]) * 0.05  # red
+        hertz, damping = rng.uniform(510, 3000), 10.0 ** rng.uniform(-3, -1.5)
+        pole = np.exp((-damping + 1j * np.sqrt(1 - damping**2)) * 2 * np.pi * hertz / RATE_HZ)
+        noise[2] = lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], noise[2])
         line = 50.0 * np.cos(2 * np.pi * rng.uniform(20, 480) * at)
-        made = levels(recorded(noise + line), 1500.0)
-        assert made["peak_above"].values.tolist() == [0.0, 0.0]
+        made = levels(recorded(noise + line * np.array([[1.0], [1.0], [0.0]])), 1500.0)
+        assert made["peak_above"].values.tolist() == [0.0, 0.0, 0.0]
         assert np.isnan(made["peak_order"].values).all()
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("seed", range(8))
-def test_a_light_mode_that_noise_makes_ring_is_no_line(seed):
-    from scipy.signal import lfilter
-
-    rng = np.random.default_rng(seed)
-    hertz, damping = rng.uniform(510, 3000), 10.0 ** rng.uniform(-3, -1.5)
-    pole = np.exp((-damping + 1j * np.sqrt(1 - damping**2)) * 2 * np.pi * hertz / RATE_HZ)
-    white = rng.standard_normal((3, int(6 * RATE_HZ)))
-    ringing = lfilter([1.0], [1.0, -2 * pole.real, abs(pole) ** 2], white, axis=1)
-    assert levels(recorded(ringing), 1500.0)["peak_above"].values.tolist() == [0.0, 0.0, 0.0]
 
 
 def test_in_a_run_up_the_order_is_a_line_and_the_mode_that_noise_rings_is_none():

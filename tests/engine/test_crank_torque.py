@@ -32,7 +32,7 @@ def exact_torque(angle_rev):
 
 
 def test_the_torque_is_within_1e_12_of_exact_arithmetic_in_double_precision():
-    grid = np.linspace(0, 1, 721)
+    grid = np.linspace(0, 1, 145)
     pairs = zip(crank_torque(grid, CURVE), grid, strict=True)
     assert max(abs(float(Fraction(float(torque)) - exact_torque(angle))) for torque, angle in pairs) < 1e-12
     assert crank_torque([0, 0.5, 1, -3], CURVE).tolist() == [0, 0, 0, 0]
@@ -62,14 +62,10 @@ def test_the_potential_torque_does_no_work_in_a_revolution():
     assert abs(np.tile(weights, 2) @ potential_torque(halves, CURVE)) < 1e-11
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("angles", "torques", "what"),
-    [
+def test_impossible_nodes_are_refused():
+    for angles, torques, what in (
         ((0.0, 180.0), (1.0,), "one torque for each"), ((0.0,), (1.0,), "two or more"),
         ((0.0, 200.0, 100.0, 360.0), (0.0, 1.0, 1.0, 0.0), "rising"), ((0.0, 360.0), (0.0, float("nan")), "finite"),
-    ],
-)  # fmt: skip
-def test_impossible_nodes_are_refused(angles, torques, what):
-    with pytest.raises(ValidationError, match=what):
-        TorqueBranch(angle_deg=angles, torque_nm=torques)
+    ):  # fmt: skip
+        with pytest.raises(ValidationError, match=what):
+            TorqueBranch(angle_deg=angles, torque_nm=torques)

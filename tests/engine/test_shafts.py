@@ -48,7 +48,6 @@ def stated(*pairs, **differences):
     return Engine.model_validate({**SINGLE, **differences, "shafts": {"pairs": listed, "timed_to": timed_to}})
 
 
-@pytest.mark.slow
 def test_a_stated_pair_between_cylinders_stands_against_the_sum_and_makes_a_moment():
     second = abs(along_g_mm(stated())[2])
     pair = {"pairs": [{"order": 2, "unbalance_g_mm": second}], "position_m": 0.15}  # 4 · second is the force of all
@@ -70,7 +69,6 @@ def test_a_pair_with_nothing_to_stand_against_is_refused():
     assert np.isfinite(crankcase_forces(stated((3, 1.0)), 1000, max_order=2)).all()  # above what is asked for
 
 
-@pytest.mark.slow
 def test_cancelled_orders_and_stated_pairs_stand_side_by_side():
     shafts = {"orders": [1], "unbalanced_mass_kg": 0.116, "pairs": [{"order": 2, "unbalance_g_mm": 5000.0}]}
     both = Engine.model_validate({**SINGLE, "shafts": shafts})
@@ -111,7 +109,6 @@ def test_a_shaft_against_a_couple_that_is_late_leaves_the_chord_of_its_couple(la
     assert f"a couple of {newton_metres:.4g} N·m of order 1 at 3000 rpm" in " ".join(tolerance_sentences(table, 3000.0))
 
 
-@pytest.mark.slow
 def test_a_series_without_errors_leaves_what_the_engine_leaves_and_one_seed_the_same_numbers():
     engine = load_engine("v8-cross")
     balanced = designs(engine, orders=(1,), planes_m=(-0.2, 0.2))["webs"]
@@ -123,7 +120,6 @@ def test_a_series_without_errors_leaves_what_the_engine_leaves_and_one_seed_the_
     assert spread["2.5 %"] == spread["97.5 %"] == pytest.approx(939.19, rel=1e-4)
 
 
-@pytest.mark.slow
 def test_pairs_as_single_shafts_make_the_same_force():
     engine = load_engine("msu-optical-second")
     single = with_single_shafts(engine, 4)
@@ -153,17 +149,6 @@ def turning(wheels):
     return Engine(**lengths, shafts=BalanceShafts(single=tuple(wheels.values())))
 
 
-def mistimed(wheels, mesh_errors_deg):
-    """The wheels as they stand with errors in the meshes."""
-    wrong_deg = gear_errors_deg(TRAIN, mesh_errors_deg)
-    wrong = {}
-    for name, wheel in wheels.items():
-        (weight,) = wheel.weights
-        moved = weight.model_copy(update={"angle_deg": weight.angle_deg + wrong_deg[name]})
-        wrong[name] = wheel.model_copy(update={"weights": (moved,)})
-    return wrong
-
-
 @pytest.mark.parametrize("second", ["exact", "leading"])
 def test_the_wheels_act_along_the_cylinder_alone(second):
     force = 1e6 * crankcase_forces(turning(weighted_wheels(TRAIN, ENGINE, second=second)), RPM, max_order=2)
@@ -183,19 +168,20 @@ def test_wheels_that_straddle_the_cylinder_make_no_couple_and_others_do():
 
 @pytest.mark.parametrize("tooth_deg", [360 / 20, 360 / 40, 0.3])
 def test_analytic_a_wheel_off_by_an_angle_leaves_twice_its_force_times_the_sine_of_half(tooth_deg):
-    wheels = weighted_wheels(TRAIN, ENGINE)
-    wrong = mistimed({name: wheels[name] for name in "DE"}, {"E": tooth_deg})
+    wheels, wrong_deg, wrong = weighted_wheels(TRAIN, ENGINE), gear_errors_deg(TRAIN, {"E": tooth_deg}), {}
+    for name in "DE":
+        (weight,) = wheels[name].weights
+        moved = weight.model_copy(update={"angle_deg": weight.angle_deg + wrong_deg[name]})
+        wrong[name] = wheels[name].model_copy(update={"weights": (moved,)})
     left = 1e6 * crankcase_forces(turning(wrong), RPM, max_order=1)[:, 1] + [0, 0, FIRST]
     assert np.sqrt(np.sum(np.abs(left) ** 2) / 2) == pytest.approx(FIRST * np.sin(np.radians(tooth_deg) / 2), rel=1e-9)
 
 
-@pytest.mark.slow
 def test_errors_travel_through_the_train_by_its_ratios():
     found = gear_errors_deg(TRAIN, {"B": 1.0, "G": 0.25})
     assert found == {"A": 0.0, "B": 1.0, "D": 1.0, "E": -1.0, "H": -2.0, "G": 2.25}
 
 
-@pytest.mark.slow
 def test_analytic_the_tolerance_study_has_the_variance_of_its_errors():
     sigma = np.radians(0.2)
     study = tolerance_study(TRAIN, ENGINE, errors(mesh_deg=0.2))
@@ -213,29 +199,20 @@ def test_analytic_the_tolerance_study_has_the_variance_of_its_errors():
     assert np.sqrt(np.mean(shifted["couple_g_mm2"]["1"] ** 2)) / FIRST == pytest.approx(0.05, rel=0.02)
 
 
-@pytest.mark.slow
 def test_wheels_that_do_not_go_in_pairs_are_refused():
-    lame = TRAIN.model_copy(update={"gears": tuple(gear for gear in TRAIN.gears if gear.name != "G")})
-    with pytest.raises(RequestError, match="pairs"):
-        weighted_wheels(lame, ENGINE)
-    slow = TRAIN.model_copy(
-        update={"gears": tuple(g.model_copy(update={"teeth": 11}) if g.name == "H" else g for g in TRAIN.gears)}
-    )
-    with pytest.raises(RequestError, match="pairs"):
-        weighted_wheels(slow, ENGINE)
+    lame = [gear for gear in TRAIN.gears if gear.name != "G"]
+    slow = [gear.model_copy(update={"teeth": 11}) if gear.name == "H" else gear for gear in TRAIN.gears]
+    for gears in (lame, slow):
+        with pytest.raises(RequestError, match="pairs"):
+            weighted_wheels(TRAIN.model_copy(update={"gears": tuple(gears)}), ENGINE)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "gears",
-    [
-        [Gear(name="A", teeth=10, driven_by="B")],
-        [Gear(name="A", teeth=10), Gear(name="B", teeth=10)],
-        [Gear(name="A", teeth=10), Gear(name="B", teeth=10, driven_by="C")],
-        [Gear(name="A", teeth=10), Gear(name="A", teeth=10, driven_by="A")],
-        [Gear(name="A", teeth=10), Gear(name="B", teeth=10, driven_by="A", fixed_to="A")],
-    ],
-)
-def test_a_train_that_motion_does_not_reach_is_refused(gears):
-    with pytest.raises(ValidationError, match="gear"):
-        GearTrain(gears=tuple(gears))
+def test_a_train_that_motion_does_not_reach_is_refused():
+    first = Gear(name="A", teeth=10)
+    for gears in (
+        [Gear(name="A", teeth=10, driven_by="B")], [first, Gear(name="B", teeth=10)],
+        [first, Gear(name="B", teeth=10, driven_by="C")], [first, Gear(name="A", teeth=10, driven_by="A")],
+        [first, Gear(name="B", teeth=10, driven_by="A", fixed_to="A")],
+    ):  # fmt: skip
+        with pytest.raises(ValidationError, match="gear"):
+            GearTrain(gears=tuple(gears))

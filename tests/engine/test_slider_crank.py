@@ -1,6 +1,6 @@
 """The kinematics against 60-digit arithmetic and the derivatives of its own motion."""
 
-from decimal import Decimal, getcontext, localcontext
+from decimal import Decimal, getcontext
 
 import numpy as np
 import pytest
@@ -42,17 +42,6 @@ def decimal_sine_cosine(angle):
     return sums[1], sums[0]
 
 
-@pytest.mark.parametrize(
-    ("slack", "offset"), [(0.7, 0.0), (0.7, 0.07), (1e-2, 0.0), (1e-6, 0.0), (0.7, -0.2), (1e-9, 0.0), (1e-12, 0.0)]
-)
-def test_the_acceleration_keeps_its_digits_with_offset_and_however_short_the_rod(slack, offset):
-    mechanism = SliderCrank(crank_radius_m=1 - slack, rod_length_m=1.0, offset_m=offset)
-    kappa = np.sqrt(slack * (2 - slack))
-    angles = np.concatenate([np.linspace(-1, 2, 61), 0.25 + kappa * np.linspace(-1, 1, 21), [0.75 + 3 * kappa / 7]])
-    exact = np.array([float(decimal_motion(float(angle), mechanism)["acceleration"]) for angle in angles])
-    assert np.abs(piston_acceleration(angles, mechanism) - exact).max() <= 1e-15 * np.abs(exact).max()
-
-
 def decimal_motion(revolutions, mechanism):
     """Drop, velocity, acceleration, sine of the rod angle and its derivatives, straight from the definitions."""
     sine, cosine = decimal_sine_cosine(2 * PI * Decimal(revolutions))
@@ -67,9 +56,10 @@ def decimal_motion(revolutions, mechanism):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("slack", [0.7, 1e-2, 1e-6, 1e-12])
-@pytest.mark.parametrize("share", [0.0, 0.5, -0.5])
-def test_position_velocity_and_rod_angle_keep_their_own_digits_however_short_the_rod(slack, share):
+@pytest.mark.cases(6)
+@pytest.mark.parametrize("slack", [0.7, 1e-6, 1e-12])
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_motion_and_rod_angle_keep_their_digits_with_offset_and_however_short_the_rod(slack, share):
     mechanism = SliderCrank(crank_radius_m=1 - slack, rod_length_m=1.0, offset_m=share * slack)
     angles = np.concatenate([np.arange(1, 8) / 8, np.linspace(0, 1, 38)[1:-1], 0.25 + 1e-3 * np.linspace(-1, 1, 9)])
     exact = [decimal_motion(float(angle), mechanism) for angle in angles]
@@ -82,6 +72,8 @@ def test_position_velocity_and_rod_angle_keep_their_own_digits_however_short_the
         known = np.array([float(row[name]) for row in exact])
         sizes = np.where(np.abs(known) < 1e-40, 1.0, np.abs(known))  # an exact zero has no relative error
         assert np.abs((values - known) / sizes).max() < (2e-15 if share == 0 else 5e-15), name
+    known = np.array([float(row["acceleration"]) for row in exact])
+    assert np.abs(piston_acceleration(angles, mechanism) - known).max() <= 1e-15 * np.abs(known).max()
 
 
 @given(SHAPES)
@@ -151,42 +143,34 @@ def test_every_even_harmonic_the_peak_and_the_orders_that_a_tolerance_needs_are_
 
 def decimal_harmonic(order, ratio):
     """A_order in 60 digits: the closed form of the truth sheet, its hypergeometric series summed term by term."""
-    with localcontext() as context:
-        context.prec = 60
-        k, exact = order // 2, Decimal(ratio)
-        kappa = ((1 - exact) * (1 + exact)).sqrt()
-        q = (exact / (1 + kappa)) ** 2
-        binomial = Decimal("0.5")
-        for j in range(2, k + 1):
-            binomial *= (Decimal(j) - Decimal("1.5")) / j
-        total = term = Decimal(1)
-        for n in range(20000):
-            term *= (n - Decimal("0.5")) * (k - Decimal("0.5") + n) / ((k + 1 + n) * (n + Decimal(1))) * q * q
-            total += term
-            if abs(term) < Decimal("1e-40"):
-                break
-        return float(4 * k**2 / exact * (1 + kappa) * binomial * q**k * total)
+    k, exact, half = order // 2, Decimal(ratio), Decimal("0.5")
+    kappa = ((1 - exact) * (1 + exact)).sqrt()
+    q = (exact / (1 + kappa)) ** 2
+    binomial, n = half, 0
+    for j in range(2, k + 1):
+        binomial *= (j - 3 * half) / j
+    total = term = Decimal(1)
+    while abs(term) > Decimal("1e-40"):
+        term *= (n - half) * (k - half + n) / ((k + 1 + n) * (n + Decimal(1))) * q * q
+        total, n = total + term, n + 1
+    return float(4 * k**2 / exact * (1 + kappa) * binomial * q**k * total)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("ratio", [1e-3, 0.3, 0.9, 0.99, 0.999, 0.9997, 0.9999, 1 - 1e-6])
+@pytest.mark.parametrize("ratio", [1e-3, 0.9, 0.9997])
 def test_harmonics_have_twelve_digits_up_to_order_2000_however_short_the_rod(ratio):
-    every = {order: decimal_harmonic(order, ratio) for order in (2, 4, 10, 40, 180, 300, 344, 360, 600, 800, 2000)}
-    orders = [order for order, size in every.items() if size > 1e-290]  # smaller ones have no double with all digits
-    known = np.array([every[order] for order in orders])
+    every = {order: decimal_harmonic(order, ratio) for order in (2, 4, 40, 180, 344, 360, 800, 2000)}
+    known = {order: size for order, size in every.items() if size > 1e-290}  # below no double has all digits
     found = even_harmonics(1000, ratio)
-    assert np.abs(found[np.array(orders) // 2 - 1] / known - 1).max() < 1e-12
+    assert np.abs(found[np.array(list(known)) // 2 - 1] / list(known.values()) - 1).max() < 1e-12
     assert np.isfinite(found).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("offset", [1e-14, 1e-300])
-@pytest.mark.parametrize("ratio", [0.1, 0.3, 0.9, 0.99])
-def test_the_fourier_sums_beside_the_crank_angle_give_the_closed_form(ratio, offset):
+def test_the_fourier_sums_beside_the_crank_angle_give_the_closed_form():
     # with a vanishing offset the even orders come from Fourier sums, yet must be those of the hypergeometric form
-    nearly = acceleration_harmonics(SliderCrank(crank_radius_m=ratio, rod_length_m=1.0, offset_m=offset), 200)
-    plain = acceleration_harmonics(SliderCrank(crank_radius_m=ratio, rod_length_m=1.0), 200)
-    assert np.abs(nearly[2::2] / plain[2::2] - 1).max() < 3e-13
+    for ratio, offset in ((0.1, 1e-14), (0.9, 1e-300), (0.99, 1e-14)):
+        nearly = acceleration_harmonics(SliderCrank(crank_radius_m=ratio, rod_length_m=1.0, offset_m=offset), 200)
+        plain = acceleration_harmonics(SliderCrank(crank_radius_m=ratio, rod_length_m=1.0), 200)
+        assert np.abs(nearly[2::2] / plain[2::2] - 1).max() < 3e-13
 
 
 @pytest.mark.parametrize(

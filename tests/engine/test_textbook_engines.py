@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.engine.balancing import designs, primary_shares, roll_height_m, throw_counterweights
-from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, load_engine
+from crankorder.engine.definition import BalanceShafts, Engine, load_engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments, orders_made
 
 X, Y, Z = (DIRECTIONS.index(name) for name in ("X", "Y", "Z"))
@@ -47,31 +47,19 @@ ENGINES: dict[str, tuple[list[Throw], tuple[bool, ...]]] = {
     "inline-2, 360°": (row(0, 0), (False, False, True, True)),
     "inline-2, 270°": (row(0, 270), (False, True, False, False)),
     "inline-3": (row(0, 240, 120), (True, True, False, False)),
-    "inline-3, two-stroke": (row(0, 120, 240), (True, True, False, False)),
     "inline-4, flat": (row(0, 180, 180, 0), (True, False, True, True)),
-    "inline-4, cross": (row(0, 90, 270, 180), (True, True, False, True)),
     "inline-5": (row(0, 216, 144, 72, 288), (True, True, False, False)),
     "inline-6": (row(0, 120, 240, 240, 120, 0), (True, True, True, True)),
-    "v-twin, 45°": (vee(22.5, 0), (False, False, True, True)),
     "v-twin, 60°": (vee(30, 0), (False, False, True, True)),
     "v-twin, 90°": (vee(45, 0, stagger_m=0.025), (False, False, False, False)),
-    "v4, 90°, 180° crank": (vee(45, 0, 180), (True, False, False, True)),
     "v6, 60°, pins split by 60°": (vee(30, 0, 240, 120, split_deg=60), (True, True, False, False)),
-    "v6, 90°, pins split by 30°": (vee(45, 0, 240, 120, split_deg=-30), (True, True, False, False)),
     "v6, 90°, common pins": (vee(45, 0, 240, 120), (True, True, False, False)),
     "v8, 90°, cross": (vee(45, 0, 90, 270, 180), (True, True, False, True)),
-    "v8, 90°, flat": (vee(45, 0, 180, 180, 0), (True, False, True, True)),
     "v12, 60°": (vee(30, 0, 120, 240, 240, 120, 0), (True, True, True, True)),
-    "boxer-2": (boxer(0), (True, True, False, False)),
     "boxer-4": (boxer(0, 180), (True, True, True, False)),
     "boxer-6": (boxer(0, 120, 240), (True, True, True, True)),
     "w-3": ([(0, bank, 0.0) for bank in (-60.0, 0.0, 60.0)], (False, False, True, True)),
-    "w-12": (
-        [(pin, bank, 0.1 * (n - 1.5)) for n, pin in enumerate((0, 180, 180, 0)) for bank in (-60.0, 0.0, 60.0)],
-        (True, False, True, True),
-    ),
     "radial-5": ([(0, 72.0 * n, 0.0) for n in range(5)], (False, True, True, True)),
-    "radial-7": ([(0, 360 / 7 * n, 0.0) for n in range(7)], (False, True, True, True)),
 }
 
 
@@ -90,34 +78,25 @@ def turning(angle):
 def summed(model):
     """Force and first moment along the crankshaft by (direction, order), from positions differentiated by hand."""
     phi = 2 * np.pi * np.arange(512) / 512
-    force, moment = np.zeros((2, 3, phi.size))
+    parts = []  # of a force and its place
     for cylinder in model.cylinders:
-
-        def own(key, cylinder=cylinder):
-            value = getattr(cylinder, key)
-            return float(getattr(model, key) if value is None else value)
-
+        own = model.model_dump() | {key: value for key, value in cylinder.model_dump().items() if value is not None}
         pin, bank = math.radians(cylinder.crank_deg), math.radians(cylinder.bank_deg)
-        turned = phi + pin - bank
-        across = model.crank_radius_m * np.sin(turned) - own("offset_m")
+        across = model.crank_radius_m * np.sin(phi + pin - bank) - own["offset_m"]
         along = np.sqrt(model.rod_length_m**2 - across**2)
-        rate = model.crank_radius_m * np.cos(turned)
-        bend = -model.crank_radius_m * np.sin(turned)
-        second = (
-            -model.crank_radius_m * np.cos(turned) - (rate**2 + across * bend) / along - (across * rate) ** 2 / along**3
-        )
-        size = -own("reciprocating_mass_kg") * second
-        rest = phi + pin + math.radians(own("rotating_unbalance_deg"))
-        unbalance = own("rotating_unbalance_kg_m")
-        parts = size * turning(bank)[:, None] + unbalance * turning(rest)
-        force, moment = force + parts, moment + cylinder.position_m * parts
+        rate = model.crank_radius_m * np.cos(phi + pin - bank)
+        bend = -model.crank_radius_m * np.sin(phi + pin - bank)
+        second = -rate - (rate**2 + across * bend) / along - (across * rate) ** 2 / along**3
+        rest = phi + pin + math.radians(own["rotating_unbalance_deg"])
+        force = -own["reciprocating_mass_kg"] * second * turning(bank)[:, None]
+        parts.append((force + own["rotating_unbalance_kg_m"] * turning(rest), cylinder.position_m))
     weights = [(1, web) for web in model.webs]
     weights += [(shaft.speed_ratio, weight) for shaft in model.shafts.single for weight in shaft.weights]
     for ratio, weight in weights:
-        parts = 1e-6 * ratio**2 * weight.unbalance_g_mm * turning(ratio * phi + math.radians(weight.angle_deg))
-        force, moment = force + parts, moment + weight.position_m * parts
-    by_order = [2 * np.fft.rfft(one)[:, : ORDERS + 1] / phi.size for one in (force, moment)]
-    return by_order[0], by_order[1]
+        force = 1e-6 * ratio**2 * weight.unbalance_g_mm * turning(ratio * phi + math.radians(weight.angle_deg))
+        parts.append((force, weight.position_m))
+    sums = sum(force for force, _ in parts), sum(place * force for force, place in parts)
+    return tuple(2 * np.fft.rfft(one)[:, : ORDERS + 1] / phi.size for one in sums)
 
 
 def scale(model):
@@ -197,29 +176,21 @@ def test_what_textbooks_call_free_is_free_and_nothing_else():
     assert not otherwise
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(3))
 def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed):
     draw = np.random.default_rng(seed)
-    cylinders = [
-        {
-            "crank_deg": float(draw.uniform(-360, 360)), "bank_deg": float(draw.uniform(-180, 180)),
-            "position_m": float(draw.uniform(-0.3, 0.3)), "reciprocating_mass_kg": float(draw.uniform(0.2, 0.9)),
-            "rotating_unbalance_kg_m": float(draw.uniform(0, 0.02)),
-            "rotating_unbalance_deg": float(draw.uniform(0, 360)), "offset_m": float(draw.uniform(-0.02, 0.02)),
-        }
-        for _ in range(draw.integers(1, 9))
-    ]  # fmt: skip
+
+    def drawn(n, **ends):
+        return [{key: float(draw.uniform(*between)) for key, between in ends.items()} for _ in range(n)]
 
     def weights(n):
-        return [
-            {
-                "unbalance_g_mm": float(draw.uniform(0, 3e4)),
-                "angle_deg": float(draw.uniform(0, 360)),
-                "position_m": float(draw.uniform(-0.3, 0.3)),
-            }
-            for _ in range(n)
-        ]
+        return drawn(n, unbalance_g_mm=(0, 3e4), angle_deg=(0, 360), position_m=(-0.3, 0.3))
 
+    cylinders = drawn(
+        draw.integers(1, 9), crank_deg=(-360, 360), bank_deg=(-180, 180), position_m=(-0.3, 0.3),
+        reciprocating_mass_kg=(0.2, 0.9), rotating_unbalance_kg_m=(0, 0.02), rotating_unbalance_deg=(0, 360),
+        offset_m=(-0.02, 0.02),
+    )  # fmt: skip
     shafts = {"single": [{"speed_ratio": ratio, "weights": weights(2)} for ratio in (-1, 2, -2, -3)]}
     assert off_by(engine([], cylinders=cylinders, webs=weights(3), shafts=shafts)) < EXACT
 
@@ -242,57 +213,43 @@ def test_a_design_cancels_force_and_couple_of_orders_1_and_2(name):
     assert np.abs(forces[:, 3:] - summed(model)[0][:, 3:]).max() < EXACT * scale(model)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [1, 2, 3, 4, 6])
-def test_a_design_takes_any_order_asked_for(order):
+def test_a_design_takes_any_order_asked_for():
     model = engine(ENGINES["v-twin, 60°"][0], offset_m=0.012)
-    planes = (-0.05, 0.08)
-    made = designs(model, orders=(order,), planes_m=planes)
-    *_, left = made.values()
-    forces, moments = summed(left)
-    before = np.abs(summed(model)[0][:, order]).max()
-    assert before > 1e-6 * scale(model)
-    assert np.abs(forces[:, order]).max() < EXACT * scale(model)
-    assert np.abs(moments[:, order]).max() < EXACT * scale(model)
+    for order in (1, 3, 6):
+        *_, left = designs(model, orders=(order,), planes_m=(-0.05, 0.08)).values()
+        assert np.abs(summed(model)[0][:, order]).max() > 1e-6 * scale(model)
+        assert max(np.abs(part[:, order]).max() for part in summed(left)) < EXACT * scale(model)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "force", "couple"),
-    [
-        ("inline-3", None, 0.5), ("inline-5", None, 0.5), ("inline-2, 180°", None, 0.5), ("inline-2, 360°", 0.5, None),
-        ("v8, 90°, cross", None, 1.0), ("v6, 90°, common pins", None, 1.0), ("v6, 60°, pins split by 60°", None, 0.5),
-        ("v-twin, 60°", 2 / 3, None), ("v-twin, 90°", 1.0, 0.0), ("radial-7", 1.0, None),
-    ],
-)  # fmt: skip
-def test_crank_webs_take_the_share_that_turns_with_the_crank(name, force, couple):
-    shares = primary_shares(engine(ENGINES[name][0]))
-    for found, known in ((shares["force"], force), (shares["couple"], couple)):
-        assert found is None if known is None else found == pytest.approx(known, abs=1e-12)
+SHARES = {
+    "inline-3": (None, 0.5), "inline-5": (None, 0.5), "inline-2, 180°": (None, 0.5), "inline-2, 360°": (0.5, None),
+    "v8, 90°, cross": (None, 1.0), "v6, 90°, common pins": (None, 1.0), "v6, 60°, pins split by 60°": (None, 0.5),
+    "v-twin, 60°": (2 / 3, None), "v-twin, 90°": (1.0, 0.0), "radial-5": (1.0, None),
+}  # fmt: skip
+"""Shares of the primary force and couple that turn with the crank (textbooks)."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["v8, 90°, cross", "v-twin, 90°", "radial-5"])
-def test_counterweights_of_half_the_pistons_balance_what_turns_with_the_crank(name):
-    model = engine(ENGINES[name][0], rotating_unbalance_kg_m=0.003)
-    weights = throw_counterweights(model)
-    size = 1e6 * (0.5 * MASS_KG * RADIUS_M + 0.003)
-    assert [weight.unbalance_g_mm for weight in weights] == pytest.approx([size] * len(weights), rel=1e-12)
-    left = summed(model.model_copy(update={"webs": weights}))
-    assert np.abs(left[0][:, 1]).max() < EXACT * scale(model)
+def test_crank_webs_take_the_share_that_turns_with_the_crank():
+    for name, known in SHARES.items():
+        found = primary_shares(engine(ENGINES[name][0]))
+        assert (found["force"], found["couple"]) == pytest.approx(known, abs=1e-12)
 
 
-@pytest.mark.slow
+def test_counterweights_of_half_the_pistons_balance_what_turns_with_the_crank():
+    for name in ("v8, 90°, cross", "v-twin, 90°", "radial-5"):
+        model = engine(ENGINES[name][0], rotating_unbalance_kg_m=0.003)
+        weights, size = throw_counterweights(model), 1e6 * (0.5 * MASS_KG * RADIUS_M + 0.003)
+        assert [weight.unbalance_g_mm for weight in weights] == pytest.approx([size] * len(weights), rel=1e-12)
+        left = summed(model.model_copy(update={"webs": weights}))
+        assert np.abs(left[0][:, 1]).max() < EXACT * scale(model)
+
+
 @pytest.mark.parametrize("name", ["inline-4, flat", "inline-2, 180°", "inline-1"])
 def test_shafts_at_different_heights_take_the_second_order_roll_moment_too(name):
     model = engine(ENGINES[name][0])
-    height = roll_height_m(model)
-    assert height is not None
-    shafts = designs(model, orders=(2,), planes_m=(-0.1, 0.1))["order 2"].shafts.single
-    placed = [
-        SingleShaft(speed_ratio=one.speed_ratio, weights=one.weights, z_m=height / 2 * np.sign(one.speed_ratio))
-        for one in shafts
-    ]
+    height, placed = roll_height_m(model), []
+    for shaft in designs(model, orders=(2,), planes_m=(-0.1, 0.1))["order 2"].shafts.single:
+        placed.append(shaft.model_copy(update={"z_m": height / 2 * np.sign(shaft.speed_ratio)}))
     left = model.model_copy(update={"shafts": BalanceShafts(single=tuple(placed))})
     before, after = (np.abs(crankcase_moments(one, RPM, max_order=2)[Y, 2]) for one in (model, left))
     assert after < EXACT * scale(model) < before

@@ -25,9 +25,7 @@ def tone(frequency_hz, n_samples=100_000, rate_hz=RATE_HZ):
     return np.cos(2 * np.pi * frequency_hz * np.arange(n_samples) / rate_hz + 0.3)
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-9])
-@pytest.mark.parametrize(("band_hz", "factor"), [(667.0, 28), (667.0, 16), (1250.0, 16), (300.0, 60), (9000.0, 2)])
+@pytest.mark.parametrize(("band_hz", "factor", "tolerance"), [(667.0, 28, 1e-2), (300.0, 60, 1e-6), (9000.0, 2, 1e-9)])
 def test_the_predicted_error_is_the_largest_that_tones_show(band_hz, factor, tolerance):
     predicted = decimation_error(RATE_HZ, band_hz, factor, tolerance)
     asked = {"rate_hz": RATE_HZ, "band_hz": band_hz, "factor": factor, "tolerance": tolerance, "offset": np.zeros(1)}
@@ -43,9 +41,7 @@ def test_the_predicted_error_is_the_largest_that_tones_show(band_hz, factor, tol
     assert predicted <= tolerance
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("factor", [2, 3, 5, 7, 16, 28])
+@pytest.mark.parametrize(("factor", "dtype"), [(3, np.float64), (7, np.float32), (28, np.float64)])
 def test_a_part_needs_no_more_than_the_samples_within_its_reach(factor, dtype):
     signals = np.random.default_rng(3).standard_normal((2, 100_000)).astype(dtype)
     asked = ASKED | {"factor": factor, "offset": channel_offsets(signals)[0]}
@@ -59,7 +55,7 @@ def test_a_part_needs_no_more_than_the_samples_within_its_reach(factor, dtype):
 
 
 def test_single_precision_adds_no_more_than_stated():
-    single = np.random.default_rng(4).standard_normal((2, 300_000)).astype(np.float32)
+    single = np.random.default_rng(4).standard_normal((1, 100_000)).astype(np.float32)
     for tolerance, largest in ((1e-6, 2e-7), (0.99 * SINGLE_SUMS, 6.1e-8)):
         double, *_ = decimate(single.astype(np.float64), **ASKED, tolerance=tolerance)
         made, *_ = decimate(single, **ASKED, tolerance=tolerance)
@@ -67,22 +63,16 @@ def test_single_precision_adds_no_more_than_stated():
         assert np.abs(made - double).max() < largest * np.abs(single).max()
 
 
-def test_a_constant_of_a_million_times_the_signal_does_not_leak():
-    for dtype in (np.float32, np.float64):
-        # a signal that float32 holds exactly on top of the constant
-        wave = (np.round(tone(100.0) * 16) / 16).astype(dtype)
-        plain, *_ = decimate(wave[None], **ASKED)
-        raised, *_ = decimate((wave + dtype(1e6))[None], **ASKED)
-        leaked, constant = np.abs(raised - plain), abs(float(np.mean(raised - plain, dtype=np.float64)))
-        assert constant < 1e-12 * 1e6
-        assert leaked.max() - constant < (3e-7 if dtype == np.float32 else 1e-8)
-
-
-def test_the_smallest_and_the_largest_amplitudes_survive():
+def test_the_smallest_and_the_largest_amplitudes_survive_and_a_constant_far_above_does_not_leak():
     plain, *_ = decimate(tone(100.0)[None], **ASKED)
     for size in (1e-300, 1e300):
-        made, *_ = decimate(size * tone(100.0)[None], **ASKED)
-        np.testing.assert_allclose(made / size, plain, atol=1e-13)
+        np.testing.assert_allclose(decimate(size * tone(100.0)[None], **ASKED)[0] / size, plain, atol=1e-13)
+    for dtype, most in ((np.float32, 3e-7), (np.float64, 1e-8)):
+        # a signal that float32 holds exactly on top of the constant
+        wave = (np.round(tone(100.0) * 16) / 16).astype(dtype)
+        leaked = decimate((wave + dtype(1e6))[None], **ASKED)[0] - decimate(wave[None], **ASKED)[0]
+        assert abs(float(np.mean(leaked, dtype=np.float64))) < 1e-12 * 1e6
+        assert np.abs(leaked).max() < most
 
 
 def test_the_kept_rate_carries_the_band_with_room_for_the_resampling_kernel():
@@ -126,18 +116,17 @@ def recording(dtype=np.float64):
     return made
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_precision_is_kept_and_the_predicted_error_stated(dtype):
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float32, 1e-3), (np.float64, 1e-6)])
+def test_precision_is_kept_and_the_predicted_error_stated(dtype, tolerance):
     factor = decimation_factor(BAND_RATE_HZ, 500.0, grid_hz=0.5)
-    for tolerance in (1e-3, 1e-6):
-        band = band_limited(recording(dtype), band_hz=500.0, grid_hz=0.5, tolerance=tolerance)
-        assert band["signal"].dtype == dtype
-        assert band.attrs["rate_hz"] == BAND_RATE_HZ / factor
-        assert band.attrs["decimation_error"] == decimation_error(BAND_RATE_HZ, 500.0, factor, tolerance) <= tolerance
-        assert "usable" not in band
-        at = band.attrs["start_s"] + np.arange(band.sizes["time"]) / band.attrs["rate_hz"]
-        expected = np.cos(2 * np.pi * 3.0 * (-0.3 + 20.0 * at))
-        assert np.abs(band["signal"].values[0] - expected).max() < tolerance + (1e-6 if dtype == np.float32 else 0.0)
+    band = band_limited(recording(dtype), band_hz=500.0, grid_hz=0.5, tolerance=tolerance)
+    assert band["signal"].dtype == dtype
+    assert band.attrs["rate_hz"] == BAND_RATE_HZ / factor
+    assert band.attrs["decimation_error"] == decimation_error(BAND_RATE_HZ, 500.0, factor, tolerance) <= tolerance
+    assert "usable" not in band
+    at = band.attrs["start_s"] + np.arange(band.sizes["time"]) / band.attrs["rate_hz"]
+    expected = np.cos(2 * np.pi * 3.0 * (-0.3 + 20.0 * at))
+    assert np.abs(band["signal"].values[0] - expected).max() < tolerance + (1e-6 if dtype == np.float32 else 0.0)
 
 
 def test_a_gap_is_bridged_and_marked_as_far_as_the_filters_reach():

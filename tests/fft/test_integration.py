@@ -8,9 +8,7 @@ from crankorder.fft.transforms import integrated
 RATE_HZ = 4096.0
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("times", [1, 2])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("times", "seed"), [(1, 0), (2, 4)])
 def test_lines_are_integrated_in_size_and_phase(times, seed):
     rng = np.random.default_rng(seed)
     at = np.arange(int(30 * RATE_HZ)) / RATE_HZ

@@ -23,7 +23,7 @@ def test_windows_have_the_figures_of_their_authors():
         assert window.enbw_bins == pytest.approx(enbw_bins, abs=6e-3 if enbw_bins == 2.0 else 6e-5)
         worst_db = 20 * np.log10(window.response(np.array([0.5]))[0])
         assert -worst_db == pytest.approx(scalloping_db, abs=6e-3 if scalloping_db > 0.01 else 6e-5)
-        lobes = window.response(np.arange(first_bin, 60.0, 0.02))
+        lobes = window.response(np.arange(first_bin, 20.0, 0.02))
         assert 20 * np.log10(lobes.max()) == pytest.approx(side_lobe_db, abs=0.15)
 
 
@@ -76,10 +76,11 @@ def test_half_overlapping_hann_frames_correlate_by_one_sixth():
 # The planned transform against other programs', its laws in both precisions, and the scaling of a tone.
 
 
-@pytest.mark.parametrize(("dtype", "largest"), [(np.float32, 1e-6), (np.float64, 1e-14)])
-@pytest.mark.parametrize("length", [1024, 4000, 40_000])
-@pytest.mark.parametrize("n_frames", [1, 5, 131])
-def test_pyfftw_equals_scipy_in_both_precisions_whatever_the_batch(n_frames, length, dtype, largest):
+@pytest.mark.parametrize(
+    ("dtype", "largest", "length", "n_frames"),
+    [(np.float32, 1e-6, 1024, 131), (np.float64, 1e-14, 4000, 5), (np.float64, 1e-14, 40_000, 1)],
+)
+def test_pyfftw_equals_scipy_in_both_precisions_whatever_the_batch(dtype, largest, length, n_frames):
     signals = np.random.default_rng(1).standard_normal((2, length + 130 * 7)).astype(dtype)
     starts = np.arange(n_frames, dtype=np.int64)[::-1] * 7
     transform = FrameTransform(window_named("rectangular", length), n_bins=300)
@@ -107,14 +108,10 @@ def test_channels_do_not_touch_each_other():
 
 
 def test_threads_get_the_same_bytes_as_one():
-    signals = np.random.default_rng(3).standard_normal((3, 5000))
-    starts = frame_starts(5000, 256, 100)
-
-    def spectra(_):
-        return FrameTransform(hann(256)).spectra(signals, starts).tobytes()
-
+    signals, starts = np.random.default_rng(3).standard_normal((3, 5000)), frame_starts(5000, 256, 100)
     with ThreadPoolExecutor(4) as pool:
-        assert len(set(pool.map(spectra, range(16)))) == 1
+        made = list(pool.map(lambda _: FrameTransform(hann(256)).spectra(signals, starts).tobytes(), range(16)))
+    assert len(set(made)) == 1
 
 
 def test_a_padded_plan_forgets_the_frames_of_a_longer_one():

@@ -20,13 +20,6 @@ from crankorder.scratch import is_on_disk
 from crankorder.stages import analyse_recording, analyse_test
 from made.long_recordings import AMPLITUDES, write_long
 
-RECORDS = {"in chunks": {"chunks": (30_011,)}, "contiguous": {}, "a wheel of 360": {"pulses_per_rev": 360}}
-
-
-@pytest.fixture(scope="module", params=RECORDS)
-def recorded(request, tmp_path_factory):
-    return write_long(tmp_path_factory.mktemp("long") / "data", 24.0, **RECORDS[request.param])
-
 
 def analysed(folder, recipe, max_memory_mb):
     plan = plan_tests([folder], folder.parent / "out", recipe=recipe, max_memory_mb=max_memory_mb).tests[0]
@@ -35,9 +28,11 @@ def analysed(folder, recipe, max_memory_mb):
 
 
 @pytest.mark.slow
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("recipe", [None, "maps-full-band"])
-def test_blocks_on_disk_give_what_memory_gives(recorded, recipe):
+@pytest.mark.parametrize(
+    ("recipe", "record"), [(None, {"pulses_per_rev": 360}), ("maps-full-band", {"chunks": (30_011,)})]
+)
+def test_blocks_on_disk_give_what_memory_gives(tmp_path, recipe, record):
+    recorded = write_long(tmp_path / "data", 24.0, **record)
     whole, blocks = analysed(recorded, recipe, 8000), analysed(recorded, recipe, 0)
     assert whole.datasets.keys() == blocks.datasets.keys()
     for name, expected in whole.datasets.items():

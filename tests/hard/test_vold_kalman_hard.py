@@ -46,37 +46,22 @@ def test_a_minute_of_ramps_at_10_krpm_per_second_is_followed():
     assert np.abs(amplitude[0] - truth[:, None]).max() < 1e-10
 
 
-@pytest.mark.slow
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("bandwidth_hz", [1.0, 20.0, 100.0])
-def test_a_constant_a_million_times_the_signal_does_not_leak(bandwidth_hz):
-    time_s = np.arange(30_000) / RATE_HZ
-    phase, truth = (80.0 * time_s + 3.0 * time_s**2)[None], np.array([1.0 + 1.0j])
+@pytest.mark.parametrize("bandwidth_hz", [1.0, 80.0])
+def test_far_amplitudes_survive_and_a_constant_a_million_times_the_signal_does_not_leak(bandwidth_hz):
+    time_s, truth = np.arange(20_000) / RATE_HZ, np.array([0.3 - 1.1j])
+    phase = (80.0 * time_s + 3.0 * time_s**2)[None]
     amplitude, _ = envelopes([lines(truth, phase) + 1e6], phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
     assert np.abs(amplitude - truth).max() < 1e-7
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("bandwidth_hz", [1.0, 80.0])
-@pytest.mark.parametrize("size", [1e-300, 1e300])
-def test_amplitudes_of_1e_300_and_1e300_survive(size, bandwidth_hz):
-    time_s = np.arange(20_000) / RATE_HZ
-    phase, truth = (80.0 * time_s)[None], np.array([0.3 - 1.1j])
     signal = lines(truth, phase) + 0.1 * np.random.default_rng(2).normal(size=len(time_s))
     plain, plain_error = envelopes([signal], phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
-    amplitude, error = envelopes([signal * size], phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
-    assert np.abs(amplitude / size - plain).max() < 1e-12
-    assert error / size == pytest.approx(plain_error, rel=1e-10)
-
-
-@pytest.mark.slow
-def test_a_silent_channel_stays_silent():
-    phase = 80.0 * np.arange(20_000) / RATE_HZ
-    amplitude, error = envelopes(np.zeros((1, 20_000)), [phase], rate_hz=RATE_HZ, bandwidth_hz=1.0)
+    for size in (1e-300, 1e300):
+        amplitude, error = envelopes([signal * size], phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
+        assert np.abs(amplitude / size - plain).max() < 1e-12
+        assert error / size == pytest.approx(plain_error, rel=1e-10)
+    amplitude, error = envelopes([0.0 * signal], phase, rate_hz=RATE_HZ, bandwidth_hz=bandwidth_hz)
     assert not amplitude.any() and not error.any()
 
 
-@pytest.mark.cases(1)
 @pytest.mark.parametrize(("bandwidth_hz", "times"), [(1.0, 1.5), (80.0, 100.0)])
 def test_a_gap_is_bridged_and_its_standard_error_grows(bandwidth_hz, times):
     time_s = np.arange(60_000) / RATE_HZ
@@ -92,7 +77,6 @@ def test_a_gap_is_bridged_and_its_standard_error_grows(bandwidth_hz, times):
     assert error[1, 0, 32_500] < 1.5 * error[1, 0, 20_000]
 
 
-@pytest.mark.slow
 def test_a_line_that_nobody_tracks_is_no_noise():
     time_s = np.arange(60_000) / RATE_HZ
     phase = (80.0 * time_s)[None]

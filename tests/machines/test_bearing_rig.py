@@ -44,22 +44,18 @@ def named(records):
 
 
 def test_where_strikes_alone_are_found_no_sentence_denies_them():
-    seen = 0
-    for seed in range(8):
+    for seed in range(4):
         records = said(replace(draw_rig(seed, FAULTS[seed % 2], 5.0), **QUIET))
-        seen += bool(records)
+        assert records
         for above, n_short in ((None, 0), (0.5, 0), (None, 1)):
             document = {
-                "bearings": records,
+                "bearings": records, "energy": {"channels": [{"channel": "Z"}]}, "unexplained_energy_fraction": 0.0,
                 "levels": [{"channel": "Z", "amplitude_above": above, "frequency_hz_above": 900.0}],
                 "quality": [{"recording": "a", "severity": "info", "flag": "short_recording"}] * n_short,
-                "energy": {"channels": [{"channel": "Z"}]},
-                "unexplained_energy_fraction": 0.0,
-            }
+            }  # fmt: skip
             assert contradictions(document) == []
             apart = [words for words in headline(findings_of(document)) if words.startswith("Apart from the ")]
-            assert len(apart) == bool(records)
-    assert seen >= 6
+            assert len(apart) == 1
 
 
 def test_the_rig_strikes_at_the_rates_of_its_geometry():
@@ -107,38 +103,20 @@ def test_a_nominal_speed_is_read_off_the_sidebands_and_the_slip_is_counted_from_
     assert read >= 3
 
 
-@pytest.fixture(scope="module")
-def campaign():
-    """200 sound rigs and 320 damaged ones with what is said of them."""
+@pytest.mark.accuracy
+def test_no_damage_is_made_up_none_is_put_in_the_wrong_part_and_strong_damage_is_found():
+    """200 sound rigs, of which one may raise an alarm, and 320 damaged ones."""
     first = int(os.environ.get("RIGS_SEED") or secrets.randbits(28))
     print(f"RIGS_SEED={first}")
     rigs = [draw_rig(first + k, "none") for k in range(200)]
     rigs += [draw_rig(first + k, FAULTS[k % len(FAULTS)]) for k in range(200, 520)]
-    return [(rig, said(rig)) for rig in rigs]
-
-
-@pytest.mark.accuracy
-def test_sound_bearings_raise_an_alarm_once_in_two_hundred_at_most(campaign):
+    campaign = [(rig, said(rig)) for rig in rigs]
     alarms = [rig.seed for rig, records in campaign if rig.fault == "none" and records]
     assert len(alarms) <= 1, alarms
-
-
-@pytest.mark.accuracy
-def test_no_part_is_named_without_doubt_that_is_not_struck(campaign):
-    wrong = [
-        (rig.seed, rig.fault, named(records))
-        for rig, records in campaign
-        if rig.fault != "none" and named(records) - {LINE_OF[rig.fault]}
-    ]
-    assert not wrong
-
-
-@pytest.mark.accuracy
-def test_strong_damage_is_found(campaign):
     strong, found = Counter[str](), Counter[str]()
     for rig, records in campaign:
-        if rig.fault != "none" and rig.size > 1.6:
-            strong[rig.fault] += 1
-            found[rig.fault] += LINE_OF[rig.fault] in {record["line"] for record in records}
-    for fault, least in LEAST_FOUND.items():
-        assert found[fault] >= least * strong[fault], (fault, found[fault], strong[fault])
+        if rig.fault != "none":
+            assert named(records) <= {LINE_OF[rig.fault]}, rig.seed
+            strong[rig.fault] += rig.size > 1.6
+            found[rig.fault] += rig.size > 1.6 and LINE_OF[rig.fault] in {record["line"] for record in records}
+    assert all(found[fault] >= least * strong[fault] for fault, least in LEAST_FOUND.items()), (found, strong)

@@ -23,7 +23,6 @@ FEW_LINES = 16
 NEAR = 0.05
 """Orders within which a line is the true one."""
 PARTS = ("gear mesh", "bearing", "second shaft")
-ECCENTRICITIES = (0.02, 0.05, 0.1, 0.2, 0.5)
 
 
 def said(rig, place):
@@ -45,7 +44,6 @@ class Judged:
     eccentricity: bool
     covered: int
     intervals: int
-    width: float
 
 
 def judged(rig, place):
@@ -77,21 +75,17 @@ def _over_noise(rig, order):
 
 
 def _coverage(rig, result):
-    """Intervals of tracks that hold the true amplitude, their number, and the median of half width over amplitude."""
+    """Intervals of tracks that hold the true amplitude, and their number."""
     tracks, true = result.datasets["order_tracks"], np.array(sorted(rig.lines()))
-    covered, count, widths = 0, 0, []
+    covered, count = 0, 0
     for row, order in enumerate(tracks["order"].values):
         nearest = float(true[np.argmin(np.abs(true - order))])
-        if abs(nearest - order) > NEAR:
-            continue
-        for place, rpm in enumerate(tracks["speed"].values):
+        for place, rpm in enumerate(tracks["speed"].values if abs(nearest - order) <= NEAR else ()):
             low, high = (tracks[f"amplitude_{end}"].values[:, row, place] for end in ("low", "high"))
             size = np.abs(rig.amplitude(nearest, float(rpm)))
-            known = np.isfinite(low)
-            covered += int(np.sum(known & (low <= size) & (size <= high)))
-            count += int(np.sum(known))
-            widths += (0.5 * (high - low) / size)[known].tolist()
-    return covered, count, float(np.median(widths)) if widths else np.nan
+            covered += int(np.sum((low <= size) & (size <= high)))
+            count += int(np.sum(np.isfinite(low)))
+    return covered, count
 
 
 def test_pulses_come_where_the_encoder_shows_their_lines(tmp_path):
@@ -139,46 +133,24 @@ def test_a_wheel_that_is_set_off_keeps_its_sidebands_beside_an_eccentric_encoder
     assert not found.gone and not found.made_up
 
 
-@pytest.fixture(scope="module")
-def campaign(tmp_path_factory):
-    """Drawn rigs of all kinds, and what is said of them."""
+@pytest.mark.accuracy
+def test_drawn_encoders_make_no_part_up_explain_no_sideband_away_and_leave_amplitudes_covered(tmp_path):
+    """Drawn rigs of all kinds; an eccentricity is told nowhere where there is none."""
     first = int(os.environ.get("ENCODERS_SEED") or secrets.randbits(28))
     print(f"ENCODERS_SEED={first}")
-    place = tmp_path_factory.mktemp("encoders")
     rigs = [draw_rig(first + number) for number in range(RIGS)]
-    return [judged(rig if k % 6 else quiet(rig), place / f"rig_{k}") for k, rig in enumerate(rigs)]
-
-
-@pytest.mark.accuracy
-def test_no_part_is_made_up(campaign):
-    wrong = [(one.rig.seed, one.made_up) for one in campaign if one.made_up and one.rig.encoder.pulses >= FEW_LINES]
-    assert not wrong
-
-
-@pytest.mark.accuracy
-def test_no_real_sideband_is_explained_away(campaign):
+    campaign = [judged(rig if k % 6 else quiet(rig), tmp_path / f"rig_{k}") for k, rig in enumerate(rigs)]
     assert [(one.rig.seed, one.gone) for one in campaign if one.gone] == []
-
-
-@pytest.mark.accuracy
-def test_amplitudes_are_covered_behind_any_encoder(campaign):
-    lined = [one for one in campaign if one.rig.encoder.pulses >= FEW_LINES and one.intervals and not one.rig.sweep_s]
-    eccentric = [one for one in lined if one.rig.encoder.eccentricity > 0.02]
-    jittering = [one for one in lined if one.rig.encoder.jitter > 0.02]
-    for name, group in (("all", lined), ("eccentric", eccentric), ("jittering", jittering)):
-        covered, count = sum(one.covered for one in group), sum(one.intervals for one in group)
-        width = float(np.median([one.width for one in group]))
-        print(f"{name}: {covered}/{count} = {covered / count:.3f}, half width {width:.4f} of the amplitude")
-        assert count >= 300
-        assert covered >= 0.92 * count, name
-
-
-@pytest.mark.accuracy
-def test_an_eccentricity_is_told_where_it_is_and_nowhere_else(campaign):
     lined = [one for one in campaign if one.rig.encoder.pulses >= FEW_LINES]
-    for low, high in zip((0.0, *ECCENTRICITIES[:-1]), ECCENTRICITIES, strict=True):
-        group = [one for one in lined if low < one.rig.encoder.eccentricity <= high]
-        print(f"{low} to {high} deg: told in {sum(one.eccentricity for one in group)} of {len(group)}")
+    assert [(one.rig.seed, one.made_up) for one in lined if one.made_up] == []
     # uneven lines have an order 1 as well: it counts as none where both are none
     sound = [one for one in lined if not one.rig.encoder.eccentricity and not one.rig.encoder.line_error]
     assert [one.rig.seed for one in sound if one.eccentricity] == []
+    held = [one for one in lined if one.intervals and not one.rig.sweep_s]
+    eccentric = [one for one in held if one.rig.encoder.eccentricity > 0.02]
+    jittering = [one for one in held if one.rig.encoder.jitter > 0.02]
+    for name, group in (("all", held), ("eccentric", eccentric), ("jittering", jittering)):
+        covered, count = sum(one.covered for one in group), sum(one.intervals for one in group)
+        print(f"{name}: {covered}/{count} = {covered / count:.3f}")
+        assert count >= 300
+        assert covered >= 0.92 * count, name

@@ -35,16 +35,8 @@ def test_at_constant_speed_the_envelope_is_the_steady_response(rpm):
     np.testing.assert_allclose(envelope[0], machine.steady_response(0, rpm)[0, 0], rtol=1e-9)
 
 
-def test_the_steady_response_of_a_real_mode_is_that_of_the_second_derivative_of_its_displacement():
-    machine = one_mode()
-    frequency, mode = np.array([3.0, 59.0, 60.0, 400.0]), machine.modes[0]
-    omega, natural = 2 * np.pi * frequency, 2 * np.pi * mode.frequency_hz
-    wanted = -0.02 * omega**2 / (natural**2 - omega**2 + 2j * mode.damping_ratio * natural * omega)
-    np.testing.assert_allclose(mode.acceleration_per_force(frequency)[0], wanted, rtol=1e-12)
-
-
 @pytest.mark.cases(1)
-@pytest.mark.parametrize(("rpm", "damping"), [((1500.0, 2100.0), 0.002), ((2600.0, 900.0), 0.03), ((900.0, 0.0), 0.01)])
+@pytest.mark.parametrize(("rpm", "damping"), [((2600.0, 900.0), 0.03), ((900.0, 0.0), 0.01)])
 def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm, damping):
     machine = one_mode(damping=damping, profile=Profile((0.0, 2.0), rpm, 0.3, 4.0, 0.7, 1.0))
     profile, mode, order = machine.profiles[0], machine.modes[0], machine.orders[0]
@@ -122,31 +114,38 @@ def test_the_lines_of_a_swinging_shaft_are_those_of_its_signal_by_angle():
             assert read[0, 0] == pytest.approx(series, abs=1e-6 * np.abs(envelope).max())
 
 
-def tooth_times(machine, folder):
-    """Times of the teeth in the first recording of ``machine``: those stored, or the first samples behind an edge."""
-    write_folder(machine, folder)
-    with h5py.File(folder / "rec_000.h5") as file:
-        if machine.encoder.form == "times":
-            return np.asarray(file["pulse_time"][...])
-        return np.asarray((np.nonzero(np.diff(file["encoder"][...]) > 0)[0] + 1) / machine.rate_hz)
-
-
-@pytest.mark.parametrize("encoder", ["trace", "times"])
-def test_an_uneven_wheel_shows_each_tooth_where_it_stands(encoder, tmp_path):
-    wheel = Encoder("36-1", encoder, 36, 1, False, 0.0, 1e7, 1e-3)
-    machine = replace(one_mode(profile=replace(SWUNG, rpm=(900.0, 900.0))), rate_hz=50000.0, encoder=wheel)
-    times = tooth_times(machine, tmp_path / "m")
-    turned = np.mod(machine.profiles[0].angle(times), 1.0)
-    late = (turned[:, None] - wheel.teeth_rev(machine.seed)[:-1] + 0.5) % 1.0 - 0.5
-    nearest = late[np.arange(len(late)), np.abs(late).argmin(axis=1)]
-    # a trace shows an edge at the first sample behind it: 0.3 thousandths of a revolution
-    assert np.abs(nearest).max() < (4e-4 if encoder == "trace" else 2e-6)
-    assert set(np.abs(late).argmin(axis=1)) == set(range(35))
-    assert 5e-4 < np.std(np.diff(wheel.teeth_rev(machine.seed)) - 1.0 / 36.0) < 3e-3
+@pytest.mark.parametrize("form", ["trace", "times"])
+@pytest.mark.parametrize(
+    ("wheel", "profile", "tick_s"),
+    [
+        (("36-1", "", 36, 1, False, 0.0, 1e7, 1e-3), replace(SWUNG, rpm=(900.0, 900.0)), 1e-7),
+        (("60-2", "", 60, 2, False, 40.0, 1e6), Profile((0.0, 3.0), (600.0, 900.0), 0.41), 1e-6),
+    ],
+    ids=["uneven", "even"],
+)
+def test_a_wheel_shows_each_tooth_where_it_stands(form, wheel, profile, tick_s, tmp_path):
+    encoder = replace(Encoder(*wheel), form=form)
+    machine = replace(one_mode(profile=profile), rate_hz=50000.0, encoder=encoder)
+    write_folder(machine, tmp_path / "m")
+    with h5py.File(tmp_path / "m" / "rec_000.h5") as file:
+        if form == "times":
+            times = np.asarray(file["pulse_time"][...])
+        else:
+            times = (np.nonzero(np.diff(file["encoder"][...]) > 0)[0] + 1) / machine.rate_hz
+    present, teeth, angle = wheel[2] - wheel[3], encoder.teeth_rev(machine.seed), machine.profiles[0].angle
+    turned = np.mod(angle(times) + wheel[5] / 360.0, 1.0)
+    late = (turned[:, None] - teeth[:present] + 0.5) % 1.0 - 0.5
+    turns_per_s = (angle(times + 1e-6) - angle(times - 1e-6)) / 2e-6
+    nearest = late[np.arange(len(late)), np.abs(late).argmin(axis=1)] / turns_per_s
+    # a trace shows an edge at the first sample behind it; a counter gives the nearest tick of its clock
+    earliest, latest = (0.0, 1.0 / machine.rate_hz) if form == "trace" else (-0.5 * tick_s, 0.5 * tick_s)
+    assert nearest.min() > earliest - 1e-8 and nearest.max() < 1.02 * latest + 1e-8
+    assert set(np.abs(late).argmin(axis=1)) == set(range(present))
+    assert len(wheel) == 7 or 5e-4 < np.std(np.diff(teeth) - 1.0 / 36.0) < 3e-3
 
 
 def test_the_new_classes_are_what_their_names_say():
-    for seed in range(20):
+    for seed in range(10):
         held, swept = draw_machine("swing, held", seed), draw_machine("swing, swept", seed)
         assert held.steady and not swept.steady and not draw_machine("two speeds", seed).steady
         for machine in (held, swept):
@@ -154,18 +153,11 @@ def test_the_new_classes_are_what_their_names_say():
             assert swing is not None and 0.002 <= 2.0 * np.pi * swing.order * swing.size_rev <= 0.1001
             assert any(order.order == 1.0 for order in machine.orders) and machine.encoder.pulses_per_rev >= 36
         assert draw_machine("one pulse", seed).encoder.pulses_per_rev == 1
-        tones = draw_machine("twice mains", seed).tones
-        assert len(tones) == 1 and tones[0].frequency_hz == pytest.approx(
-            2.0 * draw_machine("twice mains", seed).mains_hz, rel=1e-3
-        )
+        hummed = draw_machine("twice mains", seed)
+        assert [tone.frequency_hz for tone in hummed.tones] == pytest.approx([2.0 * hummed.mains_hz], rel=1e-3)
         toothed = draw_machine("up and down, toothed wheel", seed)
-        ways = {
-            bool(first < last)
-            for p in toothed.profiles
-            for first, last in zip(p.rpm, p.rpm[1:], strict=False)
-            if first != last
-        }
-        assert ways == {True, False} and toothed.encoder.pulses_per_rev >= 36
+        ways = {np.sign(step) for profile in toothed.profiles for step in np.diff(profile.rpm)} - {0.0}
+        assert ways == {1.0, -1.0} and toothed.encoder.pulses_per_rev >= 36
 
 
 def test_noise_is_120_db_below_order_1_in_half_of_the_swinging_machines():
@@ -179,26 +171,18 @@ def test_noise_is_120_db_below_order_1_in_half_of_the_swinging_machines():
     assert 8 <= sum(level > 110.0 for level in levels) <= 22
 
 
-def test_the_broadband_floor_has_the_stated_density():
-    machine = replace(one_mode(force_density=3.0), noise_density=(0.02,), channels=("X",))
-    samples = broadband(machine, 800_000, np.random.default_rng(1))
-    frequency, found = welch(samples[0], machine.rate_hz, nperseg=8192)
-    wanted = machine.floor_psd(frequency)[:, 0, 0].real
-    seen = (frequency > 5) & (frequency < 900)
-    assert abs(np.mean(found[seen] / wanted[seen]) - 1.0) < 0.02
-
-
-def test_the_floors_of_two_channels_are_as_coherent_as_stated():
+def test_the_floors_of_two_channels_have_the_density_and_the_coherence_that_are_stated():
     mode = Mode(60.0, 0.02, (0.02 + 0j, -0.01 + 0.003j), (1.0 + 0j,), (1.0,))
     order = Order(2.0, 1.0, 0.5, 2.0, 30.0, 5.0, (0.01 + 0j, 0j))
     machine = replace(
         one_mode(force_density=1.0), modes=(mode,), orders=(order,), channels=("X", "Y"), noise_density=(0.01, 0.01)
     )
-    samples = broadband(machine, 400_000, np.random.default_rng(2))
-    frequency, found = csd(samples[1], samples[0], machine.rate_hz, nperseg=8192)
-    at = int(np.argmin(np.abs(frequency - 60.0)))
-    wanted = machine.floor_psd(frequency[at])[0, 0, 1]
-    assert abs(found[at] / wanted - 1.0) < 0.2
+    samples = broadband(machine, 800_000, np.random.default_rng(2))
+    frequency, crossed = csd(samples[1], samples[0], machine.rate_hz, nperseg=8192)
+    density, wanted = welch(samples[0], machine.rate_hz, nperseg=8192)[1], machine.floor_psd(frequency)
+    seen, at = (frequency > 5) & (frequency < 900), int(np.argmin(np.abs(frequency - 60.0)))
+    assert abs(np.mean(density[seen] / wanted[seen, 0, 0].real) - 1.0) < 0.02
+    assert abs(crossed[at] / wanted[at, 0, 1] - 1.0) < 0.2
 
 
 @pytest.mark.cases(1)
@@ -219,24 +203,8 @@ def test_a_drawn_test_is_written_whole_and_the_same_again(class_name, tmp_path):
 
 def test_orders_stay_below_half_the_sampling_rate_in_every_class():
     for class_name in CLASSES:
-        for seed in range(6):
+        for seed in range(3):
             machine = draw_machine(class_name, seed)
             fastest = max(rpm for profile in machine.profiles for rpm in profile.rpm)
             assert max(order.order for order in machine.orders) * fastest / 60.0 < 0.45 * machine.rate_hz
             assert all(25.0 * 0.9 < mode.frequency_hz < 0.45 * machine.rate_hz for mode in machine.modes)
-
-
-@pytest.mark.parametrize("encoder", ["trace", "times"])
-def test_the_encoder_tells_the_angle_that_was_driven(encoder, tmp_path):
-    wheel = Encoder("60-2", encoder, 60, 2, False, 40.0, 1e6)
-    ramp = one_mode(profile=Profile((0.0, 3.0), (600.0, 900.0), 0.41))
-    machine = replace(ramp, rate_hz=10000.0, encoder=wheel)
-    times = tooth_times(machine, tmp_path / "m")
-    turned = (machine.profiles[0].angle(times) + 40.0 / 360.0) * 60
-    late = turned - np.round(turned - 0.3)
-    teeth_per_s = 900.0 / 60.0 * 60
-    # a trace shows an edge at the first sample behind it; a counter gives the nearest tick of its 1 MHz
-    earliest, latest = (0.0, 1e-4) if encoder == "trace" else (-0.5e-6, 0.5e-6)
-    assert late.min() > teeth_per_s * earliest - 1e-6
-    assert late.max() < teeth_per_s * latest + 1e-6
-    assert set(np.unique(np.mod(np.round(turned - 0.3), 60)).astype(int)) == set(range(58))

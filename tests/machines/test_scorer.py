@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from machines import score
-from machines.baseline import SET_SEEDS, comparison_table, comparisons, fallen, holm, read_baseline
-from machines.bound import Bound, bound_of, standard_errors
+from machines.baseline import SET_SEEDS, comparison_table, comparisons, fallen, read_baseline
+from machines.bound import bound_of, standard_errors
 from machines.draw import CLASSES
 from machines.folder import Take
 from machines.judge import Judgement, Said, judged
-from machines.machine import Encoder, FloatArray, Machine, Mode, Order, Profile
+from machines.machine import Encoder, Machine, Mode, Order, Profile
 from machines.score import scenes_of_set
 from machines.signals import order_envelope, sample_times
 from machines.table import DANGERS, SceneScore, share_of, table_text
@@ -68,9 +67,6 @@ def right_findings(machine):
 def scene():
     machine = stepped()
     return machine, takes_of(machine), bound_of(machine)
-
-
-Scene = tuple[Machine, tuple[Take, ...], Bound]
 
 
 def wrong(scene, findings):
@@ -135,7 +131,7 @@ def test_silence_is_no_fault_but_decides_nothing(scene):
 def tracks(machine, shift_rpm):
     """Tracks of the orders of ``machine``, each row ``shift_rpm`` away from where it belongs."""
     rpm = np.asarray(SPEEDS_RPM)
-    size: FloatArray = np.stack([np.abs(machine.steady_response(number, rpm)[0]) for number in range(2)])[None]
+    size = np.stack([np.abs(machine.steady_response(number, rpm)[0]) for number in range(2)])[None]
     dims = ("channel", "order", "speed")
     return xr.Dataset(
         {"amplitude_low": (dims, 0.995 * size), "amplitude_high": (dims, 1.005 * size)},
@@ -224,7 +220,7 @@ def scores_of(wrong, *, class_name="stepped", kind="mode real"):
 
 
 @pytest.mark.parametrize(("kind", "what"), [("mode real", "wrong"), ("mode found", "decided")])
-@pytest.mark.parametrize(("worse", "better", "falls"), [(13, 0, True), (11, 2, False), (3, 0, False), (0, 13, False)])
+@pytest.mark.parametrize(("worse", "better", "falls"), [(13, 0, True), (11, 2, False), (3, 0, False)])
 def test_a_class_has_fallen_where_a_sign_test_says_so(worse, better, falls, kind, what):
     before = scores_of([5.0] * 13, kind=kind) + scores_of([5.0] * 13, class_name="run-up")
     now = scores_of([6.0] * worse + [4.0] * better + [5.0] * (13 - worse - better), kind=kind)
@@ -235,11 +231,11 @@ def test_a_class_has_fallen_where_a_sign_test_says_so(worse, better, falls, kind
     assert any(reason.startswith(f"stepped: {what}") for reason in fallen(classes, before, [])) is falls
 
 
-@pytest.mark.parametrize("kind", DANGERS)
-def test_more_dangerous_statements_of_a_class_than_before_are_a_fall(kind):
-    before, now = scores_of([0.0, 2.0], kind=kind), scores_of([3.0, 0.0], kind=kind)
-    assert fallen(comparisons(before, now), before, []) == [f"stepped: {kind}: 3, before 2"]
-    assert fallen(comparisons(now, before), now, []) == []
+def test_more_dangerous_statements_of_a_class_than_before_are_a_fall():
+    for kind in DANGERS:
+        before, now = scores_of([0.0, 2.0], kind=kind), scores_of([3.0, 0.0], kind=kind)
+        assert fallen(comparisons(before, now), before, []) == [f"stepped: {kind}: 3, before 2"]
+        assert fallen(comparisons(now, before), now, []) == []
 
 
 def test_intervals_that_are_all_wider_are_a_fall_and_narrower_ones_are_none():
@@ -254,8 +250,6 @@ def test_a_machine_that_was_near_the_limit_of_time_may_pass_it():
     slow = [replace(score, cpu_s=55.0) for score in scores_of([0.0] * 2)]
     late = [replace(score, cpu_s=61.0, message="61 processor seconds, 60 allowed", shares={}) for score in slow]
     assert fallen(comparisons(slow, late), slow, []) == []
-    dead = [replace(score, cpu_s=2.0, message="boom", shares={}) for score in slow]
-    assert fallen(comparisons(slow, dead), slow, []) == ["stepped: failed, and did not before: 0, 1"]
 
 
 def test_a_failure_is_worse_and_its_repair_is_no_fall():
@@ -267,13 +261,6 @@ def test_a_failure_is_worse_and_its_repair_is_no_fall():
     assert fallen(comparisons([dead[0], before[1]], dead[:2]), before, []) == ["stepped: failed, and did not before: 1"]
     assert "* stepped 12: wrong 3.0 → 0.0, decided 0.00 → 0.00; boom" in comparison_table(comparisons(before, dead))
     assert fallen(comparisons(dead, before), before, []) == []
-
-
-def test_a_score_read_back_from_the_baseline_is_the_same_score():
-    shares = [Judgement("dangerous range not free", n / 4001, 1.0) for n in range(40)]
-    scores = [SceneScore.of("stepped", n, 1.0, "", (share,)) for n, share in enumerate(shares)]
-    kept = [SceneScore.read(score.plain()) for score in scores]
-    assert {(own.right.worse, own.right.better) for own in comparisons(kept, scores)} == {(0, 0)}
 
 
 def test_one_interval_in_twenty_may_miss():
@@ -289,11 +276,6 @@ def test_fresh_machines_are_held_against_the_share_of_the_whole_baseline():
     assert reason.startswith("fresh machines, lock: 4 of 60 machines, in the baseline 0 of 600")
     dead = [replace(score, message="boom") for score in scores_of([0.0] * 60)]
     assert any(reason.startswith("fresh machines, failed") for reason in fallen([], baseline, dead))
-
-
-def test_chances_are_corrected_as_holm_says():
-    # Holm (1979): the least times three, the next times two, the last once, none below the one before
-    assert holm([0.04, 0.01, 0.03]) == pytest.approx([0.06, 0.03, 0.06])
 
 
 def test_every_set_repeats_all_classes_and_the_baseline_holds_just_these():
@@ -320,13 +302,3 @@ def test_a_part_that_is_not_there_is_made_up(scene, cause):
     findings["orders"][0]["explained_by"] = cause
     parts = [one.good for one in judged(*scene, Said(findings, None)) if one.kind == "part real"]
     assert parts == ([] if PARTS_SAID[cause] is None else [float(PARTS_SAID[cause])])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("class_name", "seed"),
-    [("up and down, toothed wheel", 922302313), ("swing, swept", 1190902672), ("step in sweep", 303885219)],
-)
-def test_machines_that_once_stopped_the_program_are_analysed(class_name, seed):
-    """Two lines parted in a sweep, a followed order without rows, speeds too close for any slope."""
-    assert score.score_scene(score.Scene(class_name, seed)).message == ""

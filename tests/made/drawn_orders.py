@@ -1,18 +1,19 @@
 """Orders through random structures, as complex amplitudes over the speeds: an exactly known truth for modal fits."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.crossings import crossings
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, OrderLine, SpeedVerdicts
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_responses import Block, Rows
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
-from made.order_amplitudes import order_map_of
+from made.found_lines import line
+from made.order_amplitudes import modal_responses, order_map_of
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -52,15 +53,11 @@ class DrawnMachine:
     def amplitude(self, number: int, speed_rpm: Array, *, without: int | None = None) -> Complex:
         """Complex amplitude (channels, speeds) of order ``number``, one mode left out if asked."""
         item = self.orders[number]
-        s = 2j * np.pi * item.order * np.asarray(speed_rpm) / 60.0
         share = np.asarray(speed_rpm) / self.speed_rpm.max()
         force = (item.still + share**item.power) * np.exp(1j * item.turn * share)
-        made = np.repeat(item.rigid[:, None], len(s), axis=1).astype(complex)
-        for mode, (hz, zeta) in enumerate(zip(self.natural_hz, self.damping, strict=True)):
-            if mode != without:
-                w = 2.0 * np.pi * hz
-                made += item.residue[:, mode, None] * (s**2 / (s**2 + 2.0 * zeta * w * s + w**2))
-        return np.asarray(force * made)
+        modal = modal_responses(self.natural_hz, self.damping, item.order * np.asarray(speed_rpm) / 60.0)
+        kept = np.arange(len(modal)) != (-1 if without is None else without)
+        return np.asarray(force * (item.rigid[:, None] + item.residue[:, kept] @ modal[kept]))
 
     def amplification(self, number: int, mode: int, speed_rpm: Array) -> Array:
         """How many times larger (speeds,) order ``number`` is by ``mode``, the largest of all channels."""
@@ -157,17 +154,11 @@ def orders_and_map(machine: DrawnMachine, seed: int) -> tuple[tuple[AgreedOrder,
     agreed = []
     for column, number in enumerate(numbers.tolist()):
         lines = []
-        for row, name in enumerate(CHANNELS):
-            size = np.abs(measured[row, :, column])
-            seen = np.flatnonzero(size > 6.0 * machine.error)
-            if len(seen):
-                lines.append(
-                    OrderLine(
-                        name, number, 1e-6, seen, speed[seen], size[seen], np.full(len(seen), machine.error),
-                        np.full(len(seen), 400.0), np.degrees(np.angle(measured[row, seen, column])),
-                        "locked to the shaft", 20.0,
-                    )
-                )  # fmt: skip
+        for name, row in zip(CHANNELS, measured[:, :, column], strict=True):
+            seen = np.flatnonzero(np.abs(row) > 6.0 * machine.error)
+            made = line(number, np.abs(row[seen]), channel=name, speed_rpm=speed[seen], error=machine.error)
+            own = {"seen": seen, "order_error": 1e-6, "degrees_of_freedom": np.full(len(seen), 400.0)}
+            lines += [replace(made, **own, phase_deg=np.degrees(np.angle(row[seen])))] * bool(len(seen))
         if lines:
             agreed.append(AgreedOrder(number, 1e-6, 30.0, "locked", None, tuple(lines)))
     return tuple(agreed), order_map

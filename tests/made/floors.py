@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
-from made.order_amplitudes import order_map_of
+from made.order_amplitudes import modal_responses, order_map_of
 from made.recordings import named
 
 Array = NDArray[np.float64]
@@ -37,12 +37,8 @@ class Made:
 
     def response(self, frequency_hz: Array) -> NDArray[np.complex128]:
         """Acceleration per force (channel, force, frequency)."""
-        s = 2j * np.pi * frequency_hz
-        made = np.full((len(self.sensor[0]), len(self.drive[0]), len(s)), 0.002, dtype=complex)
-        for f, zeta, sensor, drive in zip(self.natural_hz, self.damping, self.sensor, self.drive, strict=True):
-            w = 2.0 * np.pi * f
-            made += np.outer(sensor, drive)[:, :, None] * (s**2 / (s**2 + 2.0 * zeta * w * s + w**2))
-        return made
+        modal = modal_responses(self.natural_hz, self.damping, frequency_hz)
+        return 0.002 + np.einsum("mc,mf,mw->cfw", self.sensor, self.drive, modal)
 
 
 def inside(fit: ModalFit, made: Made) -> bool:
@@ -98,12 +94,9 @@ def campbell_map_of(psd: Array, n_frames: int, speed_rpm: Sequence[float], resol
 
 def no_orders(campbell: xr.Dataset) -> xr.Dataset:
     """OrderMap without any order, for the speeds and channels of ``campbell``."""
-    dims = ("channel", "speed", "order")
     nothing = np.zeros((campbell.sizes["channel"], campbell.sizes["speed"], 0))
-    attrs = {"phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2}
-    names = ("coherent_amplitude", "standard_error", "degrees_of_freedom", "phase")
-    coords = {**named(campbell["channel"].values), "speed": campbell["speed"].values, "order": np.zeros(0)}
-    return xr.Dataset(dict.fromkeys(names, (dims, nothing)), coords=coords, attrs=attrs)
+    made = order_map_of(nothing, nothing, nothing, campbell["speed"].values, np.zeros(0))
+    return made.assign_coords(named(campbell["channel"].values))
 
 
 def orders_of(made: Made, forces: tuple[tuple[float, float], ...], *, error: float, seed: int) -> xr.Dataset:

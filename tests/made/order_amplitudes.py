@@ -36,6 +36,12 @@ def engine_of(**changes) -> Engine:
     return Engine(**(data | changes))
 
 
+def modal_responses(natural_hz, damping, frequency_hz) -> np.ndarray:
+    """Acceleration of modes of unit mass per force (modes, frequencies)."""
+    x = np.asarray(frequency_hz) / np.asarray(natural_hz)[:, None]
+    return -(x**2) / (1.0 - x**2 + 2j * np.asarray(damping)[:, None] * x)
+
+
 class Structure:
     """Random modes and rigid-body part from forces on the axes to the channels."""
 
@@ -53,9 +59,8 @@ class Structure:
 
     def path(self, frequency_hz):
         """Accelerance (channel, axis or noise source, frequency)."""
-        x = np.asarray(frequency_hz)[:, None] / self.natural
-        h = -(x**2) / (1 - x**2 + 2j * self.damping * x)
-        return np.einsum("cam,fm->caf", self.residue, h) + self.rigid[:, :, None]
+        modal = modal_responses(self.natural, self.damping, frequency_hz)
+        return self.residue @ modal + self.rigid[:, :, None]
 
 
 def made_orders(

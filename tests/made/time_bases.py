@@ -83,29 +83,28 @@ def as_lvm(path: Path, columns: list[Sampled]) -> dict[str, str]:
     """A segment for each column, as of ``Multi_Headings``; its start in ``X0``."""
     text = [*LVM_HEAD, "Multi_Headings\tYes", "X_Columns\tNo", "***End_of_Header***\t", "\t"]
     for column in columns:
-        rows = [("Channels", 1), ("Samples", column.values.size), ("Date", "2024/03/05"), ("Time", "10:00:00.0")]
-        rows += [("Y_Unit_Label", column.unit), ("X_Dimension", "Time"), ("X0", repr(column.start_s))]
-        rows += [("Delta_X", repr(1.0 / column.rate_hz))]
-        text += [f"{key}\t{value}" for key, value in rows]
-        text += ["***End_of_Header***\t", f"X_Value\t{column.name}\tComment"]
-        text += [f"\t{value:.9g}" for value in column.values] + ["\t"]
+        text += [*_lvm_segment([column], "Date\t2024/03/05", "Time\t10:00:00.0"), "\t"]
     path.with_suffix(".lvm").write_text("\n".join(text) + "\n")
     return {column.name: f"{number}/{column.name}" for number, column in enumerate(columns)}
 
 
 def as_lvm_of_one_segment(path: Path, columns: list[Sampled]) -> dict[str, str]:
     """All columns side by side, of one rate and length; their starts in ``X0``."""
-    text = [*LVM_HEAD, "X_Columns\tNo", "***End_of_Header***\t", "\t"]
-    rows = [("Channels", [len(columns)]), ("Samples", [column.values.size for column in columns])]
-    rows += [("Y_Unit_Label", [column.unit for column in columns]), ("X0", [column.start_s for column in columns])]
-    rows += [("Delta_X", [1.0 / column.rate_hz for column in columns])]
-    text += ["\t".join(map(str, (key, *cells))) for key, cells in rows] + ["***End_of_Header***\t"]
-    text += ["\t".join(["X_Value", *(column.name for column in columns), "Comment"])]
-    text += [
-        "\t" + "\t".join(f"{value:.9g}" for value in row) for row in zip(*(c.values for c in columns), strict=True)
-    ]
+    text = [*LVM_HEAD, "X_Columns\tNo", "***End_of_Header***\t", "\t", *_lvm_segment(columns)]
     path.with_suffix(".lvm").write_text("\n".join(text) + "\n")
     return {column.name: column.name for column in columns}
+
+
+def _lvm_segment(columns: list[Sampled], *head: str) -> list[str]:
+    """Lines of a segment of ``columns`` side by side."""
+    rows = [("Channels", [len(columns)]), ("Samples", [column.values.size for column in columns])]
+    rows += [("Y_Unit_Label", [column.unit for column in columns]), ("X_Dimension", ["Time"] * len(columns))]
+    rows += [("X0", [repr(column.start_s) for column in columns])]
+    rows += [("Delta_X", [repr(1.0 / column.rate_hz) for column in columns])]
+    text = [*head, *("\t".join(map(str, (key, *cells))) for key, cells in rows), "***End_of_Header***\t"]
+    text += ["\t".join(["X_Value", *(column.name for column in columns), "Comment"])]
+    samples = zip(*(column.values for column in columns), strict=True)
+    return text + ["\t" + "\t".join(f"{value:.9g}" for value in row) for row in samples]
 
 
 WRITERS: dict[str, Callable[..., dict[str, str]]] = {

@@ -1,17 +1,14 @@
 """The encoder against the counts and angles that its motion implies, and as it is decoded."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from crankorder.engine.torsional_fluctuation import Lag
+from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.uneven_wheel import wheel_of as numbered_wheel
-from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.encoder import encoder_signals, encoder_turn, passed_pulses, wheel_of
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import DamagedLine, DoublePulses, Encoder, LostPulses
@@ -32,10 +29,9 @@ UNEVEN = Motion(
 )
 
 
-def signals(motion, encoder):
-    return encoder_signals(
-        motion, encoder, (), seed=1, recording="made", stream="made", rate_hz=RATE_HZ, n_samples=N_SAMPLES
-    )
+def signals(motion, encoder, faults=(), *, recording="made"):
+    named = {"recording": recording, "stream": recording}
+    return encoder_signals(motion, encoder, faults, seed=3, **named, rate_hz=RATE_HZ, n_samples=N_SAMPLES)
 
 
 def decoded(made, encoder):
@@ -51,15 +47,6 @@ def decoded(made, encoder):
     return shaft_angle(recording, settings=SHAFT)
 
 
-def angle_error_deg(motion, encoder):
-    """Decoded less true crank angle, but for whole revolutions, without 0.05 s at either end."""
-    shaft = decoded(signals(motion, encoder), encoder)
-    assert shaft.attrs["phase_reference"] == "tdc"
-    time_s = np.linspace(0.05, 4.95, 20_001)
-    error = angle_at(time_s, **knots_of(shaft)) - motion.at(time_s)[0]
-    return (error - np.round(np.median(error))) * 360
-
-
 @pytest.mark.parametrize(
     ("motion", "missing"),
     [(THERE_AND_BACK, 2), (UNEVEN, 2), (Motion(start_rev=1.73181, corners=((0.0, 1234.5),)), 0), (STOP, 0)],
@@ -73,20 +60,23 @@ def test_the_level_is_a_function_of_angle_also_backwards(motion, missing):
     np.testing.assert_array_equal(made.index, place % 60 < 1)
 
 
-@pytest.mark.parametrize("motion", [RUN_UP, WOBBLING, UNEVEN], ids=["run-up", "wobble", "in-cycle"])
 @pytest.mark.parametrize(
-    "wheel",
+    ("motion", "wheel"),
     [
-        {"pulses_per_rev": 60}, {"pulses_per_rev": 60, "ratio": 0.5, "index_to_tdc_deg": -37.0},
-        {"pulses_per_rev": 60, "ratio": 0.5}, {"pulses_per_rev": 60, "index_to_tdc_deg": 137.0},
-        {"pulses_per_rev": 60, "missing_teeth": 2, "index": False},
-        {"pulses_per_rev": 36, "missing_teeth": 1, "index": False, "index_to_tdc_deg": 84.0},
+        (RUN_UP, {"pulses_per_rev": 60, "ratio": 0.5, "index_to_tdc_deg": -37.0}),
+        (WOBBLING, {"pulses_per_rev": 36, "missing_teeth": 1, "index": False, "index_to_tdc_deg": 84.0}),
+        (UNEVEN, {"pulses_per_rev": 60, "index_to_tdc_deg": 137.0}),
     ],
-    ids=str,
-)  # fmt: skip
+    ids=["run-up", "wobble", "in-cycle"],
+)
 def test_the_decoder_finds_the_angle_from_top_dead_centre(motion, wheel):
     """At 2500 rpm one sample is 0.3°: marks that lie between samples are uncertain by half of that."""
-    error = angle_error_deg(motion, Encoder.model_validate(wheel))
+    encoder = Encoder.model_validate(wheel)
+    shaft = decoded(signals(motion, encoder), encoder)
+    assert shaft.attrs["phase_reference"] == "tdc"
+    time_s = np.linspace(0.05, 4.95, 20_001)
+    error = angle_at(time_s, **knots_of(shaft)) - motion.at(time_s)[0]
+    error = (error - np.round(np.median(error))) * 360
     assert np.abs(error).max() < 0.4
     assert np.abs(error.mean()) < 0.15
 
@@ -95,40 +85,26 @@ def test_the_decoder_finds_the_angle_from_top_dead_centre(motion, wheel):
 
 
 TURNING = Motion(start_rev=0.321, corners=((0.5, 600.0), (4.5, 3000.0)), wobbles=((1.3, 40.0, 20.0),))
-DURATION_S = 5.0
 
 
-def pulses_of(encoder, motion, seed=1):
-    return passed_pulses(wheel_of(encoder, seed=seed), motion, encoder, duration_s=DURATION_S)
+@pytest.mark.parametrize(("ratio", "off_deg"), [(0.5, 0.0), (2.0, 0.4), (1.0, 40.0)])
+def test_every_line_of_a_wheel_comes_when_the_shaft_is_at_its_angle_also_of_an_eccentric_one(ratio, off_deg):
+    encoder = Encoder(
+        pulses_per_rev=60, ratio=ratio, index_to_tdc_deg=37.0, eccentricity_deg=off_deg, eccentricity_phase_deg=30.0
+    )
+    pulses = passed_pulses(wheel_of(encoder, seed=1), TURNING, encoder, duration_s=5.0)
 
+    def place(time_s):
+        turn = encoder_turn(TURNING.at(time_s)[0], encoder)
+        return 60 * (turn + off_deg / 360 * np.sin(2 * np.pi * turn + np.pi / 6))
 
-def turn_at(time_s, motion, encoder):
-    return encoder_turn(motion.at(time_s)[0], encoder)
-
-
-def test_every_line_comes_when_the_shaft_is_at_its_angle():
-    for ratio in (0.5, 1.0, 2.0):
-        encoder = Encoder(pulses_per_rev=60, ratio=ratio, index_to_tdc_deg=37.0)
-        pulses = pulses_of(encoder, TURNING)
-        inside = np.isfinite(pulses.rise_s)
-        rise, fall = pulses.rise_s[inside], pulses.fall_s[np.isfinite(pulses.fall_s)]
-        np.testing.assert_allclose(turn_at(rise, TURNING, encoder) * 60, pulses.number[inside], atol=1e-9)
-        np.testing.assert_allclose(turn_at(fall, TURNING, encoder) * 60 % 1, 0.5, atol=1e-9)
-        first, last = turn_at(np.array([0.0, DURATION_S]), TURNING, encoder) * 60
-        np.testing.assert_array_equal(pulses.number, np.arange(np.floor(first + 0.5), np.floor(last) + 1))
-
-
-@pytest.mark.parametrize("amplitude_deg", [0.4, 40.0])
-def test_an_eccentric_wheel_shows_its_turn_and_a_sine_of_it(amplitude_deg):
-    encoder = Encoder(pulses_per_rev=60, eccentricity_deg=amplitude_deg, eccentricity_phase_deg=30.0)
-    pulses = pulses_of(encoder, TURNING)
     inside = np.isfinite(pulses.rise_s)
-    turn = turn_at(pulses.rise_s[inside], TURNING, encoder)
-    error = amplitude_deg / 360 * np.sin(2 * np.pi * turn + np.pi / 6)
-    np.testing.assert_allclose(turn + error, pulses.number[inside] / 60, atol=1e-11)
+    np.testing.assert_allclose(place(pulses.rise_s[inside]), pulses.number[inside], atol=1e-9)
+    np.testing.assert_allclose(place(pulses.fall_s[np.isfinite(pulses.fall_s)]) % 1, 0.5, atol=1e-9)
+    first, last = place(np.array([0.0, 5.0]))
+    np.testing.assert_array_equal(pulses.number, np.arange(np.floor(first + 0.5), np.floor(last) + 1))
 
 
-@pytest.mark.slow
 def test_errors_of_lines_are_those_of_the_wheel_and_have_their_spread():
     encoder = Encoder(pulses_per_rev=3600, line_error_deg=0.01)
     wheel, again, other = (wheel_of(encoder, seed=seed) for seed in (1, 1, 2))
@@ -146,24 +122,12 @@ ENCODER = Encoder(pulses_per_rev=60)
 
 
 def faulty(encoder, faults, *, recording="made"):
-    return encoder_signals(
-        LONG_RUN, encoder, faults, seed=3, recording=recording, stream=recording, rate_hz=RATE_HZ, n_samples=250_000
-    )
+    return signals(LONG_RUN, encoder, faults, recording=recording)
 
 
-def numbered(made, encoder):
-    how: dict[str, Any] = {"rate_hz": RATE_HZ, "kind": "square", "edge": "rising", "settings": SHAFT}
-    pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
-    index_s = None if made.index is None else find_pulses(made.index, pulses_per_rev=1, **how).time_s
-    return number_teeth(
-        pulses.time_s, numbered_wheel(encoder.pulses_per_rev, encoder.missing_teeth),
-        index_time_s=index_s, noise_s=pulses.noise_s, settings=SHAFT,
-    )  # fmt: skip
-
-
-def found(made, encoder):
+def remarks_on(made, encoder=ENCODER):
     """Flag and detail of everything that the decoder remarks on."""
-    return {flag: detail for flag, _, detail in numbered(made, encoder).flags}
+    return {flag["flag"]: flag["detail"] for flag in flags_of(decoded(made, encoder))}
 
 
 def only_record(made, flag):
@@ -173,43 +137,36 @@ def only_record(made, flag):
 
 
 @pytest.mark.parametrize("wheel", [{}, {"missing_teeth": 2, "index": False}], ids=["60", "60-2"])
-def test_lost_pulses_are_found_by_number_and_tooth(wheel):
+def test_lost_pulses_are_found_by_number_and_are_those_of_the_record(wheel):
     encoder = ENCODER.model_copy(update=wheel)
     made = faulty(encoder, [LostPulses(kind="lost_pulses", count=7)])
     record = only_record(made, "encoder_missing_pulse")
     assert record["count"] == len(record["times_s"]) == len(record["lines"]) == 7
-    teeth = numbered(made, encoder)
-    assert [flag for flag, _, _ in teeth.flags] == ["encoder_missing_pulse"]
-    assert teeth.flags[0][2].startswith("7 lost pulses")
-    assert teeth.n_repaired == 7
-    lost = np.setdiff1d(np.arange(teeth.tooth[0], teeth.tooth[-1]), teeth.tooth)
-    places = np.rint(lost - teeth.index_tooth).astype(int) % 60
-    np.testing.assert_array_equal(places[places < 60 - encoder.missing_teeth], record["lines"])
+    remarks = remarks_on(made, encoder)
+    assert list(remarks) == ["encoder_missing_pulse"]
+    assert remarks["encoder_missing_pulse"].startswith("7 lost pulses")
+    place = encoder_turn(LONG_RUN.at(np.array(record["times_s"]))[0], encoder) * 60
+    np.testing.assert_array_equal(np.rint(place) % 60, record["lines"])
 
 
 def test_a_damaged_line_is_found_at_its_angle():
     made = faulty(ENCODER, [DamagedLine(kind="damaged_line", lines=(13, 70))])
     record = only_record(made, "encoder_damaged_line")
     assert (record["lines"], record["angles_deg"]) == ([13], [78.0])
-    remarks = found(made, ENCODER)
+    remarks = remarks_on(made)
     assert set(remarks) == {"encoder_missing_pulse", "encoder_damaged_line"}
     assert remarks["encoder_missing_pulse"].startswith(f"{record['count']} lost pulses")
     angle_deg = float(remarks["encoder_damaged_line"].split(" at ")[1].split()[0].rstrip(","))
     assert angle_deg == pytest.approx(78.0, abs=0.15)
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("delay_s", [2e-4, 3e-4])
-def test_double_pulses_are_found_and_removed(delay_s):
-    made = faulty(ENCODER, [DoublePulses(kind="double_pulses", count=12, delay_s=delay_s)])
+def test_double_pulses_are_found_and_removed():
+    made = faulty(ENCODER, [DoublePulses(kind="double_pulses", count=12, delay_s=2e-4)])
     record = only_record(made, "encoder_double_pulse")
     assert record["count"] == len(record["times_s"]) == 12
-    remarks = found(made, ENCODER)
+    remarks = remarks_on(made)
     assert set(remarks) == {"encoder_double_pulse"}
     assert remarks["encoder_double_pulse"].startswith("12 false pulses")
-    teeth = numbered(made, ENCODER)
-    crank_rev = LONG_RUN.at(teeth.time_s)[0] - teeth.tooth / 60
-    assert np.ptp(crank_rev) * 360 < 0.25
 
 
 def test_faults_act_on_their_recordings_only_and_one_changes_no_other():

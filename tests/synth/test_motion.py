@@ -1,6 +1,5 @@
 """A shaft's motion is one smooth formula: its rates are its derivatives, and every angle has its time."""
 
-from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -63,17 +62,19 @@ def _lag_terms(lag, angle, speed):
     }  # fmt: skip
 
 
-def test_without_lag_the_motion_is_the_integral_of_profile_and_wobbles():
+def test_without_lag_the_motion_is_the_integral_of_profile_and_wobbles_and_a_day_of_turning_loses_no_digits():
     motion = Motion(start_rev=0.37, corners=PROFILE, wobbles=WOBBLES)
     time = np.linspace(-2, 9, 20_001)
-    found = motion.at(time)
-    truth = _mean(motion, time)
-    for values, expected, unit in zip(found, truth, (1, 60, 60), strict=False):
-        np.testing.assert_allclose(values - (0.37 if unit == 1 else 0), (expected * unit).astype(float), atol=3e-12)
+    for values, expected, unit in zip(motion.at(time), _mean(motion, time), (1, 60, 60), strict=False):
+        known = (expected * unit).astype(float) + (0.37 if unit == 1 else 0)
+        np.testing.assert_allclose(values, known, atol=3e-12)
+    late = np.array([99_999.9])
+    assert float(motion.at(late)[0][0]) == pytest.approx(float(_mean(motion, late)[0][0]) + 0.37, rel=4 * EPS)
 
 
-@pytest.mark.parametrize("gas", [False, True])
-@pytest.mark.parametrize("orders", [(0.5, 1.0, 1.5, 2.0, 4.0), (1.0, 2.0, 5.3), (0.9, 2**0.5, np.pi)])
+@pytest.mark.parametrize(
+    ("orders", "gas"), [((0.5, 1.0, 1.5, 2.0, 4.0), True), ((1.0, 2.0, 5.3), False), ((0.9, 2**0.5, np.pi), True)]
+)
 def test_mean_angle_is_crank_angle_plus_lag_and_so_are_their_rates(orders, gas):
     motion = Motion(start_rev=0.37, corners=FORWARDS, wobbles=WOBBLES, lag=_lag(gas=gas, orders=orders))
     assert motion.lag is not None
@@ -85,30 +86,10 @@ def test_mean_angle_is_crank_angle_plus_lag_and_so_are_their_rates(orders, gas):
     share_bend = lag["share"] * (6 * (bend / rate) ** 2 - 2 * third / rate)
     np.testing.assert_allclose(angle + lag["value"], mean + motion.mean_start_rev, atol=1e-13)
     np.testing.assert_allclose(speed * (1 + lag["by_angle"]) + lag["by_share"] * share_rate, rate, rtol=1e-13)
-    second = (
-        acceleration * (1 + lag["by_angle"])
-        + lag["by_angle_twice"] * speed**2
-        + 2 * lag["by_both"] * share_rate * speed
-        + lag["by_share"] * share_bend
-    )
+    second = acceleration * (1 + lag["by_angle"]) + lag["by_angle_twice"] * speed**2
+    second += 2 * lag["by_both"] * share_rate * speed + lag["by_share"] * share_bend
     np.testing.assert_allclose(second, bend, atol=1e-12 * np.abs(acceleration).max())
-
-
-def test_the_start_is_the_angle_at_time_zero():
-    for start_rev, corners in ((0.0, PROFILE), (0.3, FORWARDS), (12.75, ((-3.0, 800.0), (4.0, 1200.0)))):
-        lag = _lag(gas=corners is not PROFILE)
-        motion = Motion(start_rev=start_rev, corners=corners, wobbles=WOBBLES, lag=lag)
-        assert motion.at(np.zeros(1))[0][0] == pytest.approx(start_rev, abs=2 * EPS * max(1.0, start_rev))
-        assert Motion(start_rev=start_rev, corners=corners).at(np.zeros(1))[0][0] == start_rev
-
-
-def test_a_day_of_turning_loses_no_digits():
-    motion = Motion(start_rev=0.1, corners=((0.0, 701.3), (1e5, 6001.7)))
-    time = np.linspace(0, 99_999.9, 101)
-    for t, angle in zip(time.tolist(), motion.at(time)[0].tolist(), strict=True):
-        slope = (Fraction(6001.7) - Fraction(701.3)) / 100_000
-        exact = Fraction(0.1) + Fraction(t) * (Fraction(701.3) + slope * Fraction(t) / 2) / 60
-        assert abs(float(Fraction(angle) - exact)) <= 4 * EPS * angle
+    assert motion.at(np.zeros(1))[0][0] == pytest.approx(0.37, abs=2 * EPS)
 
 
 speeds = st.floats(-3000, 3000).map(lambda rpm: round(rpm, 1))
@@ -120,7 +101,7 @@ speeds = st.floats(-3000, 3000).map(lambda rpm: round(rpm, 1))
     wobbles=st.lists(st.tuples(st.floats(0.1, 20.0), st.floats(0.0, 300.0), st.floats(-180, 180)), max_size=3),
     lagging=st.booleans(),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_every_angle_of_a_stretch_has_its_time(rpm, spans, wobbles, lagging):
     corners = tuple(zip(np.cumsum(spans)[: len(rpm)].tolist(), rpm, strict=True))
     lag = _lag(gas=False) if lagging else None
@@ -151,7 +132,6 @@ def test_stretches_end_where_the_shaft_turns_round_and_leave_standstills_out():
     assert Motion(start_rev=0.0, corners=((0.0, 0.0),)).stretches(5.0) == ()
 
 
-@pytest.mark.slow
 def test_wobbles_that_cancel_or_nearly_do_end_the_search_for_turns():
     against = ((3.0, 50.0, 10.0), (3.0, 50.0, 190.0))
     assert Motion(start_rev=0.0, corners=((0.0, 0.0),), wobbles=against).stretches(5.0) == ()
@@ -177,30 +157,26 @@ def test_a_shaft_that_would_stop_within_the_cycle_is_refused():
         Motion(start_rev=0.0, corners=((0.0, 1000.0),), lag=always)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("corners", "wobbles"),
-    [
-        ((), ()), (((1.0, 5.0), (1.0, 6.0)), ()), (((0.0, float("nan")),), ()),
-        (((0.0, 900.0),), ((1.0, float("inf"), 0.0),)),
-    ],
-)  # fmt: skip
-def test_a_motion_that_is_none_is_refused(corners, wobbles):
-    with pytest.raises(RequestError):
-        Motion(start_rev=0.0, corners=corners, wobbles=wobbles)
+def test_a_motion_that_is_none_is_refused():
+    endless = ((1.0, float("inf"), 0.0),)
+    for corners, wobbles in (
+        ((), ()),
+        (((1.0, 5.0), (1.0, 6.0)), ()),
+        (((0.0, float("nan")),), ()),
+        (((0.0, 9.0),), endless),
+    ):
+        with pytest.raises(RequestError):
+            Motion(start_rev=0.0, corners=corners, wobbles=wobbles)
 
 
-@pytest.mark.slow
 def test_wander_has_its_deviation_and_stays_below_its_corner():
     wobbles = wander_wobbles(7.0, 2.0, np.random.default_rng(4), 30.0)
     assert len(wobbles) == 120
-    frequency = np.array([part[0] for part in wobbles])
+    frequency, strip = np.array([part[0] for part in wobbles]), np.arange(120)
     assert 0 < frequency.min() < frequency.max() <= 2.0
-    assert np.all(
-        (frequency * 60 >= np.arange(120) * (1 - 1e-12)) & (frequency * 60 <= np.arange(1, 121) * (1 + 1e-12))
-    )
+    assert np.all((frequency * 60 >= strip * (1 - 1e-12)) & (frequency * 60 <= (strip + 1) * (1 + 1e-12)))
     motion = Motion(start_rev=0.0, corners=((0.0, 1000.0),), wobbles=wobbles)
-    speed = motion.at(np.linspace(0, 5000, 50_001))[1]
+    speed = motion.at(np.linspace(0, 3000, 12_001))[1]
     assert speed.std() == pytest.approx(7.0, rel=0.02)
     assert wander_wobbles(0.0, 2.0, np.random.default_rng(4), 30.0) == ()
     assert len(wander_wobbles(1.0, 2.0, np.random.default_rng(4), 1e5)) == 256

@@ -5,7 +5,6 @@ import pytest
 
 from crankorder.errors import RequestError
 from crankorder.synth.poles import Structure, accelerance, high_pass, in_series, low_pass, poles_of, tones
-from made.structures import frequency_response
 
 RNG = np.random.default_rng(4)
 STRUCTURE = Structure(
@@ -16,10 +15,20 @@ STRUCTURE = Structure(
 FREQUENCY = np.r_[-500.0, -60.0, 0.0, np.geomspace(1, 2e4, 60), 115.0]
 
 
+def frequency_response(poles):
+    """Complex acceleration per force of ``poles`` in the steady state, shape (channel, axis, frequency)."""
+    s, p = 2j * np.pi * FREQUENCY, poles.pole_per_s[:, None]
+    near, far = (
+        np.einsum("cp,pa,pf->caf", output, poles.input, 0.5 / (s - pole))
+        for output, pole in ((poles.output, p), (poles.output.conj(), p.conj()))
+    )
+    return near + far + poles.direct[:, :, None]
+
+
 def test_a_filter_in_series_multiplies_the_response():
     for filter in (low_pass(8, 4000.0), low_pass(3, 90.0), in_series(low_pass(7, 900.0), high_pass(2.0))):
         expected = accelerance(STRUCTURE, FREQUENCY) * filter.response(FREQUENCY)
-        error = np.abs(frequency_response(poles_of(STRUCTURE, filter), FREQUENCY) - expected)
+        error = np.abs(frequency_response(poles_of(STRUCTURE, filter)) - expected)
         assert error.max() < 1e-13 * np.abs(accelerance(STRUCTURE, FREQUENCY)).max()
 
 
