@@ -299,7 +299,7 @@ MAP_NUMBERS = MethodNumbers("5-identify-explain.toml", "energy_maps")
 
 @dataclass(frozen=True)
 class EnergyMap:
-    """Mean square (channels, rows, cells) in each cell of ``axis`` (cells,) from ``averages`` (rows,) frames, and lines.
+    """Mean square (channels, rows, cells) in each cell of ``axis`` (cells,) of ``averages`` (rows,) frames, and lines.
 
     ``centre`` and ``reach`` (rows, lines) are the places of the lines on the axis, ``stated`` (channels, rows, lines)
     the energy measured, NaN where a line was not seen; ``known`` (channels, lines) whether its cause is, ``is_tone``

@@ -16,7 +16,6 @@ from crankorder.identify.lines.line_evidence import ShownAlias
 from crankorder.identify.lines.line_phasors import nearest_multiple
 from crankorder.identify.lines.mains import mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.machine_model import (
-    CycleForce,
     MachineModel,
     PartsAt,
     StatedPart,
@@ -88,7 +87,7 @@ class Beside:
 class _Test:
     """What the rules know of a test: its ``orders``, the machine, and what was found of it before.
 
-    ``races`` that are struck, ``folds`` that show, ``forces`` of gas and masses, ``modes``; ``of_cycle`` by order the
+    ``races`` that are struck, ``folds`` that show, ``modes``; ``of_cycle`` by order the
     multiple of the cycle's order that it is or may be, or None.
     """
 
@@ -96,7 +95,6 @@ class _Test:
     machine: MachineModel
     races: list[StruckRace]
     folds: Sequence[ShownAlias]
-    forces: dict[tuple[str, float], CycleForce]
     modes: Sequence[Mode]
     of_cycle: dict[float, float | None]
 
@@ -150,8 +148,7 @@ def explained(
     causes, beside = LineCauses(), beside or Beside()
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
     of_cycle = {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders}
-    forces = _forces_of_cycle(orders, of_cycle, sources)
-    test = _Test(orders, sources, races, beside.folds, forces, modal.modes, of_cycle)
+    test = _Test(orders, sources, races, beside.folds, modal.modes, of_cycle)
     for agreed in orders:
         at = _stated_parts(agreed, bearings, test)
         for line in agreed.lines:
@@ -230,21 +227,12 @@ def _gas_in_pressure(of: _Line, test: _Test) -> Cause | None:
     return Cause("gas cycle", f"order {of.of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {of.proof}")
 
 
-def _forces_of_cycle(
-    orders: AgreedOrders, of_cycle: dict[float, float | None], sources: MachineModel
-) -> dict[tuple[str, float], CycleForce]:
-    """Gas and inertia by channel and order, at the speed where each line is largest; empty without gas or engine."""
-    if sources.engine is None or not sources.firing:
-        return {}
-    numbered = [(agreed, number) for agreed in orders if (number := of_cycle[agreed.order]) is not None]
-    lines = [(line.channel, agreed.order, number, line) for agreed, number in numbered for line in agreed.lines]
-    forces = cycle_forces(sources.engine, [(number, largest(line).speed_rpm) for *_, number, line in lines])
-    return {(channel, order): force for (channel, order, *_), force in zip(lines, forces, strict=True) if force}
-
-
 def _gas_or_masses(of: _Line, test: _Test) -> Cause | None:
     """Which of a firing engine's gas and masses makes a line, or that either may."""
-    force = test.forces.get((of.line.channel, of.agreed.order))
+    engine = test.machine.engine
+    if engine is None or not test.machine.firing or of.of_cycle is None:
+        return None
+    (force,) = cycle_forces(engine, [(of.of_cycle, largest(of.line).speed_rpm)])
     if force is None:
         return None
     evidence = f"{force.words}; {of.proof}"
