@@ -49,15 +49,16 @@ _UNIT_NEAR = 0.05
 """Share by which a factor may lie off that of two units, and channels off each other."""
 
 
-def _without_growth(speed_rpm: Floats, logs: Floats) -> Floats:
+def _without_growth(speed_rpm: Floats, logs: Floats, *, fewest_steps: int) -> Floats:
     """The logarithms ``logs`` (recordings, channels, …) of floors without their power of the speed; NaN stays.
 
-    The power is that of the channel, of few recordings that of all channels.
+    The power is that of the channel, of few recordings that of all channels, and 0 where ``fewest_steps`` between
+    other speeds are not there.
     """
     log_speed = np.log(speed_rpm)
     apart = np.diff(log_speed)
     known = apart > _LIKE_SPEED
-    if not known.any():
+    if known.sum() < fewest_steps:
         return logs
     moves = np.diff(logs.reshape(*logs.shape[:2], -1), axis=0)[known]
     slopes = median_of_known(moves, axis=2) / apart[known, None]
@@ -84,7 +85,7 @@ def _gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: floa
     floors move elsewhere, while all other channels stay; and its orders, beside the same orders of the other channels,
     must fit that factor ``_ODDS`` times better than none. One channel alone proves nothing.
     """
-    moves = np.diff(_without_growth(speed_rpm, np.log(np.where(blocks > 0.0, blocks, np.nan))), axis=0)
+    moves = np.diff(_without_growth(speed_rpm, np.log(np.where(blocks > 0.0, blocks, np.nan)), fewest_steps=1), axis=0)
     whole, known = median_of_known(moves, axis=2), np.isfinite(moves).sum(axis=2)
     sizes = np.abs(whole)
     jumps = sizes >= math.log(ratio)
@@ -119,22 +120,20 @@ def _shown_by_orders(lines: Floats, whole: Floats, jumps: Bools) -> Floats:
     return np.where(jumps, better / np.maximum(_LEAST_SCALE, np.fmax(scatter, usual) / math.log(2.0)), 0.0)
 
 
-def _left_out(jumps: Floats) -> tuple[dict[int, float], bool]:
-    """Recordings in which the gain of a channel is not that of most, with its log, by its ``jumps`` (steps,) between.
+def _off_most(level: Floats, near: float, *, switched: bool = False) -> tuple[dict[int, float], bool]:
+    """Recordings whose ``level`` (recordings,), a logarithm, is not ``near`` that of most, and by how much it is off.
 
-    And whether it is open which are right: then all are named. A gain that was switched for good tells nobody which of
-    its two was meant, unless one recording alone has the other.
+    And whether it is open which are right: then all are named, each beside those that differ from it. So where no
+    majority agrees, and where a gain was ``switched`` for good, of which nobody knows which of its two was meant.
     """
-    own = np.flatnonzero(jumps)
-    if not own.size:
-        return {}, False
-    level = np.concatenate([[0.0], np.cumsum(jumps)])
-    alike = np.abs(level[:, None] - level) < 0.5 * np.abs(jumps[own]).min()
+    alike = np.abs(level[:, None] - level) < near
     most = alike[np.argmax(alike.sum(axis=1))]
-    switched = own.size == 1 and 1 <= own[0] < len(jumps) - 1
-    undecided = bool(switched or 2 * most.sum() <= len(level))
-    middle = np.median(level if undecided else level[most])
-    return {row: float(level[row] - middle) for row in np.flatnonzero(~most | undecided).tolist()}, undecided
+    if most.all():
+        return {}, False
+    undecided = switched or 2 * int(most.sum()) <= len(level)
+    others = [level[~own] if undecided else level[most] for own in alike]
+    rows = np.flatnonzero(~most | undecided).tolist()
+    return {row: float(level[row] - np.median(others[row])) for row in rows}, undecided
 
 
 _Flags = dict[tuple[str, str], QualityFlag]
@@ -184,10 +183,13 @@ def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float, proven_ratio: 
         names, own = _logarithms(group, "rms")
         # off the lower of two middle ones: between two halves that differ nothing lies
         apart = own - np.sort(own, axis=0)[(len(group) - 1) // 2]
-        for name, jumps, logs in zip(names, _jumps_alone(apart, ratio).T, apart.T, strict=True):
+        levels_off = np.where(_jumps_alone(apart, ratio), apart, 0.0)
+        for name, off in zip(names, levels_off.T, strict=True):
+            rows, undecided = _off_most(off, 0.5 * math.log(ratio))
             beside = [row for row, level in enumerate(group) if (level.recording, name) in by_floor]
-            rows = {row: float(logs[row]) for row in np.flatnonzero(jumps).tolist()}
-            for row, jump, undecided in _wrong_of(rows, beside, len(group)):
+            if undecided and 0 < 2 * len(beside) <= len(group):
+                rows, undecided = {row: rows[row] for row in beside}, False
+            for row, jump in rows.items():
                 what = f"its level is {math.exp(jump):.3g} times that of the other recordings"
                 what += f" at {np.mean(group[row].speed_rpm):.4g} rpm{_unit_doubt(math.exp(jump))}"
                 by_level |= _flag(group[row].recording, name, what, undecided=undecided)
@@ -228,24 +230,16 @@ def _proven(steady: Sequence[RecordedLevel], *, ratio: float) -> _Flags:
     lines = np.array([[level.lines[name] for name in names] for level in alike])
     speed = np.array([np.mean(level.speed_rpm) for level in alike])
     for name, jumps in zip(names, _gain_steps(speed, blocks, lines, ratio=ratio).T, strict=True):
-        rows, undecided = _left_out(jumps)
+        # one step is a recording at either end, elsewhere a gain that was switched for good
+        steps = np.flatnonzero(jumps)
+        switched = len(steps) == 1 and 0 < steps[0] < len(jumps) - 1
+        near = 0.5 * float(np.abs(jumps[steps]).min(initial=np.inf))
+        rows, undecided = _off_most(np.append(0.0, np.cumsum(jumps)), near, switched=bool(switched))
         for row, log in rows.items():
             what = f"floor and orders are {math.exp(log):.3g} times what most recordings show"
             what = "floor and orders differ by one factor between recordings" if undecided else what
             flags |= _flag(alike[row].recording, name, what, undecided=undecided)
     return flags
-
-
-def _wrong_of(rows: dict[int, float], beside: list[int], count: int) -> list[tuple[int, float, bool]]:
-    """Recordings to be left out of ``count`` at like speed, the logarithms of their factors, and whether that is open.
-
-    ``rows`` are those apart from the middle one with their logarithms, ``beside`` those apart from others in speed.
-    """
-    if 2 * len(rows) < count:
-        return [(row, jump, False) for row, jump in rows.items()]
-    back = -float(np.mean(list(rows.values())))
-    known = 0 < 2 * len(beside) <= count
-    return [(row, rows.get(row, back), not known) for row in (beside if known else range(count))]
 
 
 def _flag(recording: str, channel: str, what: str, *, undecided: bool = False) -> _Flags:
@@ -265,7 +259,9 @@ def _floors_apart(steady: Sequence[RecordedLevel]) -> tuple[list[str], Floats, F
     count = len(steady)
     if not names or count < 3:
         return names, (none := np.empty((0, len(names)))), none, none
-    logs = _without_growth(np.array([np.mean(level.speed_rpm) for level in steady]), logs)
+    speed_rpm = np.array([np.mean(level.speed_rpm) for level in steady])
+    # of fewer steps a changed gain, which moves the floor at two, would look like growth
+    logs = _without_growth(speed_rpm, logs, fewest_steps=3)
     # the two at either end are next to those on one side
     off = logs - logs[[[1, *range(count - 2), -2], [2, *range(2, count), -3]]]
     agree = (off[0] * off[1] > 0.0) & (np.abs(off[0] - off[1]) < 0.5 * np.abs(off).max(axis=0))

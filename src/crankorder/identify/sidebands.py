@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import product, takewhile
 
 import numpy as np
 import xarray as xr
@@ -214,14 +214,14 @@ def _meshes(
         multiple = of_cycle[agreed.order]
         if multiple is not None and multiple == round(multiple):
             whole[round(multiple)] = (agreed.order, line)
-    family: LineCauses = {}
+    family, sizes = LineCauses(), {number: float(line.amplitude.max()) for number, (_, line) in whole.items()}
     known = {number for number, (order, _) in whole.items() if causes[channel, order].kind == "gear mesh"}
-    for mesh in sorted({*meshes({number: float(line.amplitude.max()) for number, (_, line) in whole.items()}), *known}):
+    for mesh in sorted({*meshes(sizes), *known}):
         order, line = whole[mesh]
         stated = mesh in known
         if not stated and (not causes[channel, order].is_just(*BY_ITSELF) or _lifted(line, mesh, modes_hz)):
             continue
-        sides = _sides(mesh, whole, line)
+        sides = _sides(mesh, sizes)
         if not stated:
             about = ", ".join(str(number) for number in sorted(sides))
             evidence = f"order {mesh} stands over its sidebands at orders {about}"
@@ -239,16 +239,11 @@ def sideband_of(carrier: float, spacing: float, evidence: str, *, unit: str = ""
     return Cause("sideband", evidence, {"of": of, "carrier": carrier, "unit": unit, "spacing": spacing})
 
 
-def _sides(mesh: int, whole: dict[int, tuple[float, OrderLine]], carrier: OrderLine) -> list[int]:
-    """Whole orders beside ``mesh``, outwards as long as none is missing or stands over half of its ``carrier``."""
-    sides = []
-    for step in (-1, 1):
-        for distance in range(1, FAMILY_NUMBERS.most_sidebands + 1):
-            beside = whole.get(mesh + step * distance)
-            if beside is None or NUMBERS.mesh_ratio * beside[1].amplitude.max() > carrier.amplitude.max():
-                break
-            sides.append(mesh + step * distance)
-    return sides
+def _sides(mesh: int, sizes: dict[int, float]) -> list[int]:
+    """Whole orders beside ``mesh``, outwards as long as none of ``sizes`` is missing or over half of its amplitude."""
+    reach, most = FAMILY_NUMBERS.most_sidebands + 1, sizes[mesh] / NUMBERS.mesh_ratio
+    outwards = range(mesh - 1, mesh - reach, -1), range(mesh + 1, mesh + reach)
+    return [side for sides in outwards for side in takewhile(lambda order: sizes.get(order, np.inf) <= most, sides)]
 
 
 def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
