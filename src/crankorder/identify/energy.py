@@ -100,7 +100,7 @@ def _parts(grid: EnergyMap, modal: ModalFit | None, settings: IdentifySettings) 
         if modal is None
         else _over_surface(grid, owner, surface, modal, chance)
     )
-    held = np.isfinite(grid.energy).all(axis=-1)
+    held = np.asarray(np.isfinite(grid.energy).all(axis=-1))
     counted = held[..., None] * grid.share
     energy = counted * np.nan_to_num(grid.energy)
     over = energy - counted * surface

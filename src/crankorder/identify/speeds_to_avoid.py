@@ -296,10 +296,9 @@ def _by_modes(found: Sequence[Crossing], modal: ModalFit, largest: Sizes, settin
             low, high = finding.rpm - slower * (finding.rpm - low), finding.rpm + slower * (high - finding.rpm)
             says = finding.verdict if finding.in_range else "beside the tested range, so that its flank may reach in"
             bands.append(_open(low, high, f"{what}: {says}"))
-        alike: dict[tuple[str, str, Ends], list[OrderResponse]] = {}
-        for fit in fits:
-            alike.setdefault((fit.recording, largest.unit[fit.channel], fit.force.span_rpm), []).append(fit)
-        for _, group in sorted(alike.items(), key=lambda pair: pair[0]):
+        alike = [(fit.recording, largest.unit[fit.channel], fit.force.span_rpm) for fit in fits]
+        for key in sorted(set(alike)):
+            group = [fit for fit, its_key in zip(fits, alike, strict=True) if its_key == key]
             matters = EXCLUSION.matters_share * max(largest.of_channel.get(fit.channel, 0.0) for fit in group)
             bands += _amplified(group, number, modal, what, matters=matters, settings=settings)
     return bands
