@@ -191,16 +191,18 @@ def _cost(
     costs = [(channel, peak.amplitude, largest.in_unit(channel)) for channel, peak in peaks.items()]
     shares = {channel: size / most for channel, size, most in costs if most > 0.0}
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
-    peak = peaks.get(channel)
     # how many times what it is without the mode: by the fit, unless the amplitudes stand higher over their trend
     trends = [excess for excess in crossing.trends if excess.channel == channel]
     times = trend = min(trends, key=lambda excess: excess.chance, default=None)
-    if peak is not None and peak.response is not None:
-        by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
-        if by_fit is not None:
-            times = by_fit if trend is None else higher(by_fit, [trend])
-    if times is not None and not (times.ratio is not None and times.ratio >= CROSSINGS.clearly_excited_ratio):
-        times = None  # less than makes a speed one to avoid
+    seen = dict[str, Any]()
+    if (peak := peaks.get(channel)) is not None:
+        seen = {"amplitude": peak.amplitude, "amplitude_ci95": peak.ends, "by_fit": peak.by_fit}
+        by_fit = None if peak.response is None else fitted_excess(peak.response, modal.modes.index(mode), modal)
+        times = trend if by_fit is None else by_fit if trend is None else higher(by_fit, [trend])
+        seen["at_least"] = peak.response is None
+    # less than that makes no speed one to avoid
+    if times is not None and times.ratio is not None and times.ratio >= CROSSINGS.clearly_excited_ratio:
+        seen |= {"amplification": times.ratio, "amplification_ci95": (times.ratio_low, times.ratio_high)}
     of_whirl = "" if crossing.whirl is None else f" of a whirl that moves by {crossing.whirl.slope:.3g} orders"
     undecided = ", which may be a natural frequency" if mode.undecided else ""
     return _to_avoid(
@@ -209,14 +211,9 @@ def _cost(
         rpm=finding.rpm,
         rpm_range=rpm_range,
         channel=channel,
-        amplitude=None if peak is None else peak.amplitude,
-        amplitude_ci95=None if peak is None else peak.ends,
-        by_fit=peak is not None and peak.by_fit,
-        at_least=peak is not None and peak.response is None,
-        amplification=None if times is None else times.ratio,
-        amplification_ci95=None if times is None else (times.ratio_low, times.ratio_high),
         cost=shares.get(channel, 0.0),
         reason=f"order {finding.order:.4g} meets {finding.mode_hz:.4g} Hz{of_whirl}{undecided}",
+        **seen,
     )
 
 
