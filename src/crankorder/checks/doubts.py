@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -75,30 +76,28 @@ def doubts_of(
             means = [float(np.nanmean(part)) for part in np.array_split(speed, 10) if np.isfinite(part).any()]
             speeds[name] = min(means), max(means)
     recorded = {level.recording: level for level in _recorded_levels(levels, speeds)}
-    clocks, gains = dict[str, list[QualityFlag]](), dict[str, list[QualityFlag]]()
+    clocks, gains = dict[str, list[QualityFlag]](), defaultdict[str, list[QualityFlag]](list)
     for item in frames:
         name = str(item.attrs["recording"])
         if name in recorded and recorded[name].is_steady:
-            stands = standing_orders(item)[1]
-            sizes = {channel: np.where(seen, np.sqrt(power), np.nan) for channel, (power, seen) in stands.items()}
-            recorded[name].lines.update(sizes)
+            for channel, (power, stands) in standing_orders(item)[1].items():
+                recorded[name].lines[channel] = np.where(stands, np.sqrt(power), np.nan)
         drift = clock_drift(item)
         clocks |= {} if drift is None else {name: [drift]}
-    ratios = {"ratio": settings.level_jump_ratio, "proven_ratio": settings.gain_step_ratio}
-    for flag in level_jumps(list(recorded.values()), **ratios):
-        gains.setdefault(flag["recording"], []).append(flag)
+    ratio, proven_ratio = settings.level_jump_ratio, settings.gain_step_ratio
+    for flag in level_jumps(list(recorded.values()), ratio=ratio, proven_ratio=proven_ratio):
+        gains[flag["recording"]].append(flag)
     flags = {name: [*own, *clocks.get(name, ()), *gains.get(name, ())] for name, own in told.items()}
     left_out = {name: fault for name, own in flags.items() if (fault := fault_of(name, own, strict=strict)) is not None}
-    said = dict[tuple[str, str], list[str]]()
+    said = defaultdict[tuple[str, str], list[str]](list)
     for flag in [flag for name, own in flags.items() if name not in left_out for flag in own]:
         if flag.get("left_out") == "channel" and flag["severity"] == "bad":
-            why = f"{flag['flag']} ({flag['detail']})"
-            said.setdefault((flag["recording"], flag["channel"]), []).append(why)
+            said[flag["recording"], flag["channel"]].append(f"{flag['flag']} ({flag['detail']})")
     sentences = (
         f"{printable(name)}: channel {printable(channel)} left out of all averages: {'; '.join(why)}"
         for (name, channel), why in said.items()
     )
-    return Doubts(gains, clocks, tuple(short_recordings(lengths_s)), left_out, tuple(sentences))
+    return Doubts(dict(gains), clocks, tuple(short_recordings(lengths_s)), left_out, tuple(sentences))
 
 
 def _recorded_levels(
@@ -183,11 +182,10 @@ def clock_drift(frames: xr.Dataset) -> QualityFlag | None:
     held: in a sweep modes turn the phases of lines.
     """
     speed = frames["speed"].values
-    if not any(flag["flag"] == NOT_COMPARED for flag in flags_of(frames)):
+    if not any(flag["flag"] == NOT_COMPARED for flag in flags_of(frames)) or bool(frames.attrs.get("swept", 0)):
         return None
-    if np.isfinite(speed).sum() < DRIFT.fewest_frames or bool(frames.attrs.get("swept", 0)):
-        return None
-    if np.nanmax(speed) > np.nanmin(speed) * (1.0 + DRIFT.held_share):
+    few = np.isfinite(speed).sum() < DRIFT.fewest_frames
+    if few or np.nanmax(speed) > np.nanmin(speed) * (1.0 + DRIFT.held_share):
         return None
     order, lines = _lines(frames)
     if len(order) < DRIFT.fewest_lines or len(np.unique(order)) < 2:
@@ -235,15 +233,13 @@ def standing_orders(frames: xr.Dataset) -> tuple[Ints, dict[str, tuple[Floats, B
 
 def _lines(frames: xr.Dataset) -> tuple[Floats, Complexes]:
     """Orders (lines,) of the cycle that stand out in a channel, and their amplitudes (lines, frames)."""
-    order, spectrum = frames["order"].values, frames["spectrum"].values
-    found: list[Floats] = [np.empty(0)]
-    rows: list[Complexes] = [np.empty((0, spectrum.shape[1]), dtype=np.complex128)]
     at, told = standing_orders(frames)
-    for channel, (_, stands) in zip(spectrum, told.values(), strict=False):
+    orders, rows = [np.empty(0)], [np.empty((0, frames.sizes["frame"]), dtype=np.complex128)]
+    for channel, (_, stands) in zip(frames["spectrum"].values, told.values(), strict=False):
         if np.isfinite(channel.real).all():
-            found.append(order[at[stands]])
+            orders.append(frames["order"].values[at[stands]])
             rows.append(channel[:, at[stands]].T)
-    return np.concatenate(found), np.concatenate(rows)
+    return np.concatenate(orders), np.concatenate(rows)
 
 
 def _coarse(order: Floats, lines: Complexes, begin: Floats) -> float:

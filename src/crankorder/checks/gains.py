@@ -48,11 +48,35 @@ _UNIT_FACTORS = (
 _UNIT_NEAR = 0.05
 """Share by which a factor may lie off that of two units, and channels off each other."""
 
-_ENDS = ((0, (1, 2)), (-1, (-2, -3)))
-"""Places of the slowest and the fastest recording, and of the two next to each."""
+
+def _without_growth(speed_rpm: Floats, logs: Floats, *, fewest_steps: int) -> Floats:
+    """The logarithms ``logs`` (recordings, channels, …) of floors without their power of the speed; NaN stays.
+
+    The power is that of the channel, of few recordings that of all channels, and 0 where ``fewest_steps`` between
+    other speeds are not there.
+    """
+    log_speed = np.log(speed_rpm)
+    apart = np.diff(log_speed)
+    known = apart > _LIKE_SPEED
+    if known.sum() < fewest_steps:
+        return logs
+    moves = np.diff(logs.reshape(*logs.shape[:2], -1), axis=0)[known]
+    slopes = median_of_known(moves, axis=2) / apart[known, None]
+    common = float(np.nanmedian(slopes)) if np.isfinite(slopes).any() else 0.0
+    own = np.nan_to_num(median_of_known(slopes, axis=0), nan=common) if len(slopes) >= _OWN_SLOPE else common
+    return np.asarray((logs.T - (log_speed[:, None] * own).T).T)
 
 
-def gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float) -> Floats:
+def _jumps_alone(apart: Floats, ratio: float) -> Bools:
+    """Where a channel is ``apart`` (rows, channels) by ``ratio`` or more and all others, one at least, stay."""
+    sizes, channels = np.abs(apart), range(apart.shape[1])
+    if len(channels) < 2:
+        return np.zeros(apart.shape, dtype=bool)
+    others = np.stack([np.delete(sizes, channel, axis=1).max(axis=1) for channel in channels], axis=1)
+    return np.asarray((sizes >= math.log(ratio)) & (others <= _STAYS * sizes))
+
+
+def _gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float) -> Floats:
     """Logarithms (steps, channels) of gains that changed by ``ratio`` or more and nothing else did; 0 where unproven.
 
     ``speed_rpm`` (recordings,) grows; ``blocks`` (recordings, channels, blocks) is the floor of each block of the
@@ -61,101 +85,55 @@ def gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float
     floors move elsewhere, while all other channels stay; and its orders, beside the same orders of the other channels,
     must fit that factor ``_ODDS`` times better than none. One channel alone proves nothing.
     """
-    proven = np.zeros((len(blocks) - 1, blocks.shape[1]))
-    if len(blocks) < 3 or blocks.shape[1] < 2 or blocks.shape[2] < _FEWEST_BLOCKS:
-        return proven
-    moves = _moves(speed_rpm, blocks)
-    whole = median_of_known(moves, axis=2)
-    jumps = np.abs(whole) >= math.log(ratio)
-    sigma = max(_LEAST_SIGMA, _MAD_TO_SIGMA * float(np.median(np.abs(whole[~jumps])))) if not jumps.all() else np.inf
-    moved = np.asarray(jumps.any(axis=1))
-    candidates = [(step, channel) for step, channel in np.argwhere(jumps).tolist()]
-    shown = {at: _shown_by_orders(lines, *at, whole[at], moved) for at in candidates}
-    for step, channel in candidates:
-        jump, known = whole[step, channel], moves[step, channel][np.isfinite(moves[step, channel])]
-        if (
-            abs(jump) > _SIGMAS * sigma
-            and len(known) >= _FEWEST_BLOCKS
-            and np.mean(np.abs(known - jump) <= _STAYS * abs(jump)) >= _ALIKE
-            and _others_stay(whole, step, channel)
-            and sum(shown.get(at, 0.0) for at in _there_and_back(whole, step, channel)) > math.log(_ODDS)
-        ):
-            proven[step, channel] = jump
+    moves = np.diff(_without_growth(speed_rpm, np.log(np.where(blocks > 0.0, blocks, np.nan)), fewest_steps=1), axis=0)
+    whole, known = median_of_known(moves, axis=2), np.isfinite(moves).sum(axis=2)
+    sizes = np.abs(whole)
+    jumps = sizes >= math.log(ratio)
+    sigma = max(_LEAST_SIGMA, _MAD_TO_SIGMA * float(np.median(sizes[~jumps]))) if not jumps.all() else np.inf
+    alike = np.sum(np.abs(moves - whole[..., None]) <= _STAYS * sizes[..., None], axis=2) >= _ALIKE * known
+    stands = _jumps_alone(whole, ratio) & alike & (known >= _FEWEST_BLOCKS) & (sizes > _SIGMAS * sigma)
+    shown = _shown_by_orders(lines, whole, jumps)
+    for step, channel in np.argwhere(stands).tolist():
+        # where the floor moves back at one step beside, the orders tell of one recording at both
+        beside = [at for at in (step - 1, step + 1) if 0 <= at < len(whole)]
+        back = [at for at in beside if abs(whole[at, channel] + whole[step, channel]) <= _STAYS * sizes[step, channel]]
+        both = [step, *(back if len(back) == 1 else [])]
+        stands[step, channel] = shown[both, channel].sum() > math.log(_ODDS)
     # the floor of a channel stays between all other recordings: none creeps
-    creep = np.fmax.reduce(np.abs(np.where(proven == 0.0, whole, 0.0)), axis=0)
-    return np.where(creep <= _STAYS * np.abs(proven), proven, 0.0)
+    creep = np.fmax.reduce(np.where(stands, 0.0, sizes), axis=0)
+    return np.where(stands & (creep <= _STAYS * sizes), whole, 0.0)
 
 
-def left_out(jumps: Floats) -> tuple[dict[int, float], bool]:
-    """Recordings in which the gain of a channel is not that of most, with its log, by its ``jumps`` (steps,) between.
+def _shown_by_orders(lines: Floats, whole: Floats, jumps: Bools) -> Floats:
+    """Logarithm of how much better the orders fit the move of the floor, ``whole``, than none; 0 where none ``jumps``.
 
-    And whether it is open which are right: then all are named. A gain that was switched for good tells nobody which of
-    its two was meant, unless one recording alone has the other.
-    """
-    own = np.flatnonzero(jumps)
-    if not own.size:
-        return {}, False
-    level = np.concatenate([[0.0], np.cumsum(jumps)])
-    near = 0.5 * float(np.abs(jumps[own]).min())
-    count = [int(np.count_nonzero(np.abs(level - here) < near)) for here in level]
-    most = int(np.argmax(count))
-    alike = np.abs(level - level[most]) < near
-    switched = own.size == 1 and 1 <= own[0] < len(jumps) - 1
-    undecided = bool(switched or 2 * count[most] <= len(level))
-    middle = float(np.median(level if undecided else level[alike]))
-    return {row: float(level[row] - middle) for row in np.flatnonzero(~alike | undecided).tolist()}, undecided
-
-
-def _moves(speed_rpm: Floats, blocks: Floats) -> Floats:
-    """Logarithm by which each floor moves from recording to recording, beyond its growth with the speed.
-
-    (steps, channels, blocks); NaN where a floor is not known.
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        moves = np.diff(np.log(np.where(blocks > 0.0, blocks, np.nan)), axis=0)
-    apart = np.diff(np.log(speed_rpm))
-    known = apart > 1e-3
-    if not known.any():
-        return moves
-    slopes = median_of_known(moves[known], axis=2) / apart[known][:, None]
-    common = float(np.nanmedian(slopes)) if np.isfinite(slopes).any() else 0.0
-    own = np.nan_to_num(median_of_known(slopes.T, axis=1), nan=common) if known.sum() >= _OWN_SLOPE else common
-    return np.asarray(moves - (apart[:, None] * own)[..., None])
-
-
-def _jumps(apart: Floats, ratio: float) -> list[tuple[int, int]]:
-    """Recordings and channels ``apart`` (recordings, channels) by ``ratio`` or more where all other channels stay."""
-    jumping = np.argwhere(np.abs(apart) > math.log(ratio)).tolist() if apart.shape[1] > 1 else []
-    return [(row, column) for row, column in jumping if _others_stay(apart, row, column)]
-
-
-def _others_stay(whole: Floats, step: int, channel: int) -> bool:
-    return bool(np.abs(np.delete(whole[step], channel)).max() <= _STAYS * abs(whole[step, channel]))
-
-
-def _there_and_back(whole: Floats, step: int, channel: int) -> list[tuple[int, int]]:
-    """The ``step``, and that beside in which the floor moves back: where the gain of one recording is another."""
-    jump, beside = whole[step, channel], [at for at in (step - 1, step + 1) if 0 <= at < len(whole)]
-    back = [(at, channel) for at in beside if abs(whole[at, channel] + jump) <= _STAYS * abs(jump)]
-    return [(step, channel), *(back if len(back) == 1 else [])]
-
-
-def _shown_by_orders(lines: Floats, step: int, channel: int, jump: float, moved: Bools) -> float:
-    """Logarithm of how much better the orders of ``channel`` at a ``step`` fit the ``jump`` than none.
-
-    How orders move beside those of other channels is told by the steps without jumps (not ``moved``), and by how these
-    differ from one another; heavy tails, as of the Laplace distribution, keep one order from proving much.
+    All (steps, channels). How orders move beside those of other channels is told by the steps without jumps, and by
+    how these differ from one another; heavy tails, as of the Laplace distribution, keep one order from proving much.
     """
     moves = np.diff(np.log(lines), axis=0)
     others = [median_of_known(np.delete(moves, each, axis=1), axis=1) for each in range(moves.shape[1])]
     moves = moves - np.stack(others, axis=1)
-    own = moves[step, channel][np.isfinite(moves[step, channel])]
-    if not own.size:
-        return 0.0
-    elsewhere = np.abs(moves[~moved])
-    scatter = float(np.median(np.abs(own - np.median(own))))
-    scatter = max(scatter, float(np.nanmedian(elsewhere)) if np.isfinite(elsewhere).any() else 0.0)
-    return float(np.sum(np.abs(own) - np.abs(own - jump))) / max(_LEAST_SCALE, scatter / math.log(2.0))
+    elsewhere = np.abs(moves[~jumps.any(axis=1)])
+    usual = float(np.nanmedian(elsewhere)) if np.isfinite(elsewhere).any() else 0.0
+    scatter = median_of_known(np.abs(moves - median_of_known(moves, axis=2)[..., None]), axis=2)
+    better = np.nansum(np.abs(moves) - np.abs(moves - whole[..., None]), axis=2)
+    return np.where(jumps, better / np.maximum(_LEAST_SCALE, np.fmax(scatter, usual) / math.log(2.0)), 0.0)
+
+
+def _off_most(level: Floats, near: float, *, switched: bool = False) -> tuple[dict[int, float], bool]:
+    """Recordings whose ``level`` (recordings,), a logarithm, is not ``near`` that of most, and by how much it is off.
+
+    And whether it is open which are right: then all are named, each beside those that differ from it. So where no
+    majority agrees, and where a gain was ``switched`` for good, of which nobody knows which of its two was meant.
+    """
+    alike = np.abs(level[:, None] - level) < near
+    most = alike[np.argmax(alike.sum(axis=1))]
+    if most.all():
+        return {}, False
+    undecided = switched or 2 * int(most.sum()) <= len(level)
+    others = [level[~own] if undecided else level[most] for own in alike]
+    rows = np.flatnonzero(~most | undecided).tolist()
+    return {row: float(level[row] - np.median(others[row])) for row in rows}, undecided
 
 
 _Flags = dict[tuple[str, str], QualityFlag]
@@ -193,28 +171,30 @@ def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float, proven_ratio: 
     next in speed, nobody knows which is wrong: all are named.
     """
     steady = sorted((level for level in levels if level.is_steady), key=lambda level: level.speed_rpm)
-    channels, least, logs, sigma = _floors_apart(steady)
+    channels, least, middle, scatter = _floors_apart(steady)
     by_floor, by_level = _Flags(), _Flags()
     # a resonance raises the floor of a part of the spectrum, a load that of all channels, a gain that of one everywhere
-    for row, column in _jumps(least, ratio):
-        factor = math.exp(logs[row, column])
-        doubt = _unit_doubt(factor, 2.0 * float(sigma[row, column]))
+    for row, column in np.argwhere(_jumps_alone(least, ratio)).tolist():
+        factor = math.exp(middle[row, column])
+        doubt = _unit_doubt(factor, 2.0 * float(scatter[row, column]))
         what = f"its noise floor is {factor:.3g} times that of the recordings next in speed{doubt}"
         by_floor |= _flag(steady[row].recording, channels[column], what)
     for group in _groups(steady):
         names, own = _logarithms(group, "rms")
         # off the lower of two middle ones: between two halves that differ nothing lies
         apart = own - np.sort(own, axis=0)[(len(group) - 1) // 2]
-        jumping = _jumps(apart, ratio)
-        for column, name in enumerate(names):
-            rows = {row: float(apart[row, at]) for row, at in jumping if at == column}
+        levels_off = np.where(_jumps_alone(apart, ratio), apart, 0.0)
+        for name, off in zip(names, levels_off.T, strict=True):
+            rows, undecided = _off_most(off, 0.5 * math.log(ratio))
             beside = [row for row, level in enumerate(group) if (level.recording, name) in by_floor]
-            for row, jump, undecided in _wrong_of(rows, beside, len(group)):
+            if undecided and 0 < 2 * len(beside) <= len(group):
+                rows, undecided = {row: rows[row] for row in beside}, False
+            for row, jump in rows.items():
                 what = f"its level is {math.exp(jump):.3g} times that of the other recordings"
                 what += f" at {np.mean(group[row].speed_rpm):.4g} rpm{_unit_doubt(math.exp(jump))}"
                 by_level |= _flag(group[row].recording, name, what, undecided=undecided)
     proven = _proven(steady, ratio=proven_ratio)
-    return [*(proven | by_floor | by_level).values(), *_unit_jumps(steady, least, logs, sigma)]
+    return [*(proven | by_floor | by_level).values(), *_unit_jumps(steady, least, middle, scatter)]
 
 
 def _unit_doubt(factor: float, near: float = 0.0) -> str:
@@ -223,52 +203,43 @@ def _unit_doubt(factor: float, near: float = 0.0) -> str:
     return f" (unit? {what})" if off < max(near, _UNIT_NEAR) else ""
 
 
-def _unit_jumps(steady: Sequence[RecordedLevel], least: Floats, logs: Floats, sigma: Floats) -> list[QualityFlag]:
+def _unit_jumps(steady: Sequence[RecordedLevel], least: Floats, middle: Floats, scatter: Floats) -> list[QualityFlag]:
     """Flags of recordings all channels of which lie by one factor, and that of two units, off those next in speed.
 
     Where channels agree on it the factor is known well; that of a channel alone as well as its floor repeats.
     """
     flags = []
-    for each, apart, off, scatter in zip(steady, least, logs, sigma, strict=False):
-        jump, near = float(np.mean(off)), 2.0 * float(scatter[0]) if len(scatter) == 1 else 0.0
+    for level, apart, logs, repeats in zip(steady, least, middle, scatter, strict=False):
+        jump, near = float(np.mean(logs)), 2.0 * float(repeats[0]) if len(repeats) == 1 else 0.0
         doubt = _unit_doubt(math.exp(jump), near)
         stands = np.abs(apart).min() > max(3.0 * near, (1.0 - _STAYS) * abs(jump))
-        if doubt and stands and float(np.ptp(off)) < 2.0 * _UNIT_NEAR:
+        if doubt and stands and float(np.ptp(logs)) < 2.0 * _UNIT_NEAR:
             detail = f"all floors are {math.exp(jump):.3g} times those of the recordings next in speed{doubt}"
-            flags.append(remark(each.recording, "unit_doubt", detail, "suspect"))
+            flags.append(remark(level.recording, "unit_doubt", detail, "suspect"))
     return flags
 
 
 def _proven(steady: Sequence[RecordedLevel], *, ratio: float) -> _Flags:
     """Flags by recording and channel of those of the ``steady`` ones whose floors and orders prove another gain."""
-    names = list(steady[0].blocks) if steady else []
+    names, flags = list(steady[0].blocks) if steady else [], _Flags()
     alike = [level for level in steady if list(level.blocks) == list(level.lines) == names]
     sizes = {(len(level.blocks[name]), len(level.lines[name])) for level in alike for name in names}
-    if len(names) < 2 or len(sizes) != 1:
-        return {}
-    speed = np.array([np.mean(level.speed_rpm) for level in alike])
+    if len(names) < 2 or len(alike) < 3 or len(sizes) != 1:
+        return flags
     blocks = np.array([[level.blocks[name] for name in names] for level in alike])
     lines = np.array([[level.lines[name] for name in names] for level in alike])
-    flags = _Flags()
-    for name, jumps in zip(names, gain_steps(speed, blocks, lines, ratio=ratio).T, strict=True):
-        rows, undecided = left_out(jumps)
+    speed = np.array([np.mean(level.speed_rpm) for level in alike])
+    for name, jumps in zip(names, _gain_steps(speed, blocks, lines, ratio=ratio).T, strict=True):
+        # one step is a recording at either end, elsewhere a gain that was switched for good
+        steps = np.flatnonzero(jumps)
+        switched = len(steps) == 1 and 0 < steps[0] < len(jumps) - 1
+        near = 0.5 * float(np.abs(jumps[steps]).min(initial=np.inf))
+        rows, undecided = _off_most(np.append(0.0, np.cumsum(jumps)), near, switched=bool(switched))
         for row, log in rows.items():
             what = f"floor and orders are {math.exp(log):.3g} times what most recordings show"
             what = "floor and orders differ by one factor between recordings" if undecided else what
             flags |= _flag(alike[row].recording, name, what, undecided=undecided)
     return flags
-
-
-def _wrong_of(rows: dict[int, float], beside: list[int], count: int) -> list[tuple[int, float, bool]]:
-    """Recordings to be left out of ``count`` at like speed, the logarithms of their factors, and whether that is open.
-
-    ``rows`` are those apart from the middle one with their logarithms, ``beside`` those apart from others in speed.
-    """
-    if 2 * len(rows) < count:
-        return [(row, jump, False) for row, jump in rows.items()]
-    back = -float(np.mean(list(rows.values())))
-    known = 0 < 2 * len(beside) <= count
-    return [(row, rows.get(row, back), not known) for row in (beside if known else range(count))]
 
 
 def _flag(recording: str, channel: str, what: str, *, undecided: bool = False) -> _Flags:
@@ -280,28 +251,24 @@ def _flag(recording: str, channel: str, what: str, *, undecided: bool = False) -
 
 
 def _floors_apart(steady: Sequence[RecordedLevel]) -> tuple[list[str], Floats, Floats, Floats]:
-    """Channels, and how far the floor (recording, channel) lies off those next in speed: at least, and off their trend.
+    """Channels, and the logarithms by which a floor (recordings, channels) lies off those of the two next in speed.
 
-    Logarithms; 0 where the two next in speed do not agree. Last by how much the other recordings scatter about theirs.
+    The least of both, their mean, 0 where the two do not agree; and the scatter of the floors of other recordings.
     """
     names, logs = _logarithms(steady, "floor")
-    if not names or len(steady) < 3:
+    count = len(steady)
+    if not names or count < 3:
         return names, (none := np.empty((0, len(names)))), none, none
-    below, above = logs[1:-1] - logs[:-2], logs[1:-1] - logs[2:]
-    # at either end two neighbours on one side must agree, and what grows from the one to the other must not explain it
-    speed = np.log([np.mean(level.speed_rpm) for level in steady])
-    ends = [np.stack([logs[at] - logs[k] for k in near] + [_beyond(logs, speed, at, near)]) for at, near in _ENDS]
-    inner = np.stack([below, above, 0.5 * (below + above)])
-    parts = np.concatenate([ends[0][:, None], inner, ends[1][:, None]], axis=1)
-    agree = (np.sign(parts) == np.sign(parts[0])).all(axis=0)
-    for at in (0, -1):
-        agree[at] &= np.abs(parts[0, at] - parts[1, at]) < 0.5 * np.abs(parts[:2, at]).max(axis=0)
-    least = np.where(agree, np.sign(parts[0]) * np.abs(parts).min(axis=0), 0.0)
-    moves = [np.diff(np.delete(logs, row, axis=0), axis=0) for row in range(len(logs))]
-    # how far floors of the others move from one to the next beyond their growth; of two nothing parts the two
-    beyond = [np.abs(own - (np.median(own, axis=0) if len(own) > 1 else 0.0)) for own in moves]
-    rest = np.array([np.median(own, axis=0) for own in beyond])
-    return names, least, np.where(agree, parts[2], 0.0), np.maximum(_LEAST_SIGMA, _MAD_TO_SIGMA * rest)
+    speed_rpm = np.array([np.mean(level.speed_rpm) for level in steady])
+    # of fewer steps a changed gain, which moves the floor at two, would look like growth
+    logs = _without_growth(speed_rpm, logs, fewest_steps=3)
+    # the two at either end are next to those on one side
+    off = logs - logs[[[1, *range(count - 2), -2], [2, *range(2, count), -3]]]
+    agree = (off[0] * off[1] > 0.0) & (np.abs(off[0] - off[1]) < 0.5 * np.abs(off).max(axis=0))
+    least = np.where(agree, np.sign(off[0]) * np.abs(off).min(axis=0), 0.0)
+    moves = [np.abs(np.diff(np.delete(logs, row, axis=0), axis=0)) for row in range(count)]
+    scatter = np.maximum(_LEAST_SIGMA, _MAD_TO_SIGMA * np.array([np.median(own, axis=0) for own in moves]))
+    return names, least, np.where(agree, off.mean(axis=0), 0.0), scatter
 
 
 def _logarithms(levels: Sequence[RecordedLevel], what: Literal["rms", "floor"]) -> tuple[list[str], Floats]:
@@ -309,14 +276,6 @@ def _logarithms(levels: Sequence[RecordedLevel], what: Literal["rms", "floor"]) 
     by_name = [getattr(level, what) for level in levels]
     names = [name for name in (by_name[0] if levels else ()) if all(each.get(name, 0.0) > 0.0 for each in by_name)]
     return names, np.log([[each[name] for name in names] for each in by_name])
-
-
-def _beyond(logs: Floats, speed: Floats, at: int, near: tuple[int, int]) -> Floats:
-    """How far the floors (recording, channel) at one end lie off the line through the two ``near`` it."""
-    first, second = near
-    apart = speed[first] - speed[second]
-    grows = (logs[first] - logs[second]) / apart if abs(apart) > _LIKE_SPEED else np.zeros(logs.shape[1])
-    return np.asarray(logs[at] - logs[first] - grows * (speed[at] - speed[first]))
 
 
 def _groups(steady: Sequence[RecordedLevel]) -> list[list[RecordedLevel]]:

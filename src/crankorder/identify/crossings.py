@@ -11,11 +11,11 @@ from scipy.special import fdtrc, stdtr
 
 from crankorder.findings import CrossingFinding, Verdict
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Seen, Whirl
-from crankorder.identify.lines.growth import PowerLaw, power_law
+from crankorder.identify.lines.growth import power_law
 from crankorder.identify.modes.order_search import ORDER_MODES
 from crankorder.identify.modes.responses import WithAndWithout, with_and_without
 from crankorder.orders.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
-from crankorder.quantities import Floats
+from crankorder.quantities import Bools, Floats
 from crankorder.records import Ends, finite
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -57,14 +57,15 @@ def above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple
 
     Speeds within ``near_rpm`` are near; ``others`` are all crossings of the order (rpm, damping ratio).
     """
-    speed = line.speed_rpm
-    at = np.flatnonzero(np.abs(speed - rpm) <= near_rpm)
-    law = _trend_beside(line, rpm, near_rpm, others)
-    at = at[(line.amplitude[at] > 0.0) & np.isfinite(line.amplitude_error[at])]
-    if not at.size or law is None:
+    speed, is_usable = line.speed_rpm, (line.amplitude > 0.0) & np.isfinite(line.amplitude_error)
+    at = np.flatnonzero(is_usable & (np.abs(speed - rpm) <= near_rpm))
+    beside = _beside(speed, rpm, near_rpm, others) & is_usable & np.isfinite(speed)
+    if not at.size or np.count_nonzero(beside) < 3 or np.ptp(speed[beside]) <= 1e-6 * float(np.mean(speed[beside])):
         return []
-    relative = _relative(line.amplitude[at], line.amplitude_error[at])
-    excess, error = law.excess(np.log(speed[at]), np.log(line.amplitude[at]), relative)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = np.clip(line.amplitude_error / line.amplitude, *_RELATIVE_ERRORS)
+    law = power_law(np.log(speed[beside]), np.log(line.amplitude[beside]), relative[beside])
+    excess, error = law.excess(np.log(speed[at]), np.log(line.amplitude[at]), relative[at])
     best = int(np.argmax(excess / error))
     chance = min(1.0, at.size * float(stdtr(law.freedom, -excess[best] / error[best])))
     half = half_width(law.freedom, level=1.0 - 0.05 / at.size) * error[best]
@@ -76,9 +77,11 @@ def above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple
     return [Seen(line.channel, chance, float(speed[at[best]]), ratio, float(low), float(high))]
 
 
-def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple[float, float]]) -> PowerLaw | None:
-    """Power law of ``line`` beside ``rpm``; the crossings with ``others`` (rpm, damping) are left out if it can be."""
-    speed = line.speed_rpm
+def _beside(speed: Floats, rpm: float, near_rpm: float, others: list[tuple[float, float]]) -> Bools:
+    """Which of the ``speed`` (n,) beside ``rpm`` tell a trend; none where they are too few.
+
+    The crossings with ``others`` (rpm, damping) are left out if enough stay.
+    """
     damping = min(others, key=lambda crossing: abs(crossing[0] - rpm))[1]
     free = np.abs(speed - rpm) > max(near_rpm, TREND_NUMBERS.neighbourhood_dampings * damping * rpm)
     clear = free.copy()
@@ -87,13 +90,7 @@ def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tup
     close = np.abs(np.log(speed / rpm)) < TREND_NUMBERS.beside_log_ratio
     choices = (clear & close, clear, free & close)
     chosen = next((rows for rows in choices if np.count_nonzero(rows) >= TREND_NUMBERS.enough_beside), free)
-    if np.count_nonzero(chosen) < TREND_NUMBERS.least_beside:
-        return None
-    chosen &= (line.amplitude > 0.0) & np.isfinite(line.amplitude_error) & np.isfinite(speed)
-    speed, amplitude, error = speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen]
-    if len(speed) < 3 or np.ptp(speed) <= 1e-6 * float(np.mean(speed)):
-        return None
-    return power_law(np.log(speed), np.log(amplitude), _relative(amplitude, error))
+    return np.asarray(chosen & (np.count_nonzero(chosen) >= TREND_NUMBERS.least_beside))
 
 
 def _count_around(rpm: float, speeds_rpm: Floats) -> int:
@@ -104,9 +101,7 @@ def _count_around(rpm: float, speeds_rpm: Floats) -> int:
 LAW_NUMBERS = MethodNumbers("5-identify-explain.toml", "order_trend")
 
 
-def _relative(amplitude: Floats, error: Floats) -> Floats:
-    return np.clip(error / amplitude, LAW_NUMBERS.least_relative_error, LAW_NUMBERS.most_relative_error)
-
+_RELATIVE_ERRORS = LAW_NUMBERS.least_relative_error, LAW_NUMBERS.most_relative_error
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "crossings")
 

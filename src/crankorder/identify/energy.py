@@ -64,82 +64,81 @@ def energy_shares(
     """
     if campbell.sizes["speed"]:
         judged = modal.fitted_psd.size > 0
-        parts = [_looked_at(*by_frequency(campbell, orders, modal, causes), modal if judged else None, settings)]
+        parts = _parts(by_frequency(campbell, orders, modal, causes), modal if judged else None, settings)
         above = beyond(campbell, order_map, orders, causes)
-        parts += [] if above is None else [_looked_at(*above, None, settings)]
+        parts += 0.0 if above is None else _parts(above, None, settings)
     else:
-        judged, parts = False, [_looked_at(*by_order(order_map, orders, causes), None, settings)]
+        judged, parts = False, _parts(by_order(order_map, orders, causes), None, settings)
+    total = parts.pop("total")
+    shares = parts.div(total.where(total > 0.0, np.inf), axis=0)
+    lines = shares[["orders", "tones", "unexplained_lines"]].sum(axis=1)
+    unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
+    floor = (1.0 - shares["orders"] - shares["tones"] - unexplained).clip(lower=0.0).where(total > 0.0, 0.0)
+    shares = shares.assign(unexplained=unexplained, modes_and_floor=floor, total=total)
     names, units = order_map["channel"].values.tolist(), order_map["unit"].values.tolist()
-    channels, fractions = list[EnergyShares](), list[float]()
-    for number, (name, unit) in enumerate(zip(names, units, strict=True)):
-        joined = pd.DataFrame([_channel(number, part) for part in parts]).sum()
-        total = joined.pop("total")
-        shares: dict[str, float] = (joined / total if total > 0.0 else 0.0 * joined).to_dict()
-        unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
-        lines = shares["orders"] + shares["tones"] + shares["unexplained_lines"]
-        floor = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained) if total > 0.0 else 0.0
-        shares |= {"unexplained": unexplained, "modes_and_floor": floor, "total": float(total)}
-        channels.append(EnergyShares(channel=name, unit=f"({unit})²", **shares))
-        # of what is not broadband; of all where there is no line, and nothing where nothing is unexplained
-        if lines > 0.0 or unexplained > 0.0:
-            fractions.append(unexplained / (lines + shares["unexplained_cells"]) if lines > 0.0 else unexplained)
-    energy = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=tuple(channels))
-    return energy, float(np.mean(fractions)) if fractions else 0.0
+    channels = tuple(
+        EnergyShares(channel=name, unit=f"({unit})²", **row)
+        for name, unit, row in zip(names, units, shares.to_dict("records"), strict=True)
+    )
+    # of what is not broadband; of all where there is no line, and nothing where nothing is unexplained
+    fractions = (unexplained / (lines + shares["unexplained_cells"])).where(lines > 0.0, unexplained)
+    fraction = fractions[(lines > 0.0) | (unexplained > 0.0)].mean()
+    energy = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=channels)
+    return energy, float(np.nan_to_num(fraction))
 
 
-@dataclass(frozen=True)
-class _LookedAt:
-    """A map with its lines: ``owner`` (rows, cells) is the line of each cell, -1 for none.
+def _parts(grid: EnergyMap, modal: ModalFit | None, settings: IdentifySettings) -> pd.DataFrame:
+    """Mean square by channel (rows) of each part and in ``total``, over the speeds of ``grid`` that hold data.
 
-    ``surface`` is the energy expected without lines, ``unexplained`` what stands over it as noise does not: both of
-    the shape of the map's energy.
+    What stands over the fitted surface of ``modal``, without one over that of the map itself, is unexplained.
     """
-
-    grid: EnergyMap
-    lines: EnergyLines
-    owner: Ints
-    surface: Floats
-    unexplained: Floats
-
-
-def _looked_at(grid: EnergyMap, lines: EnergyLines, modal: ModalFit | None, settings: IdentifySettings) -> _LookedAt:
-    """What each cell of a map belongs to, by the fitted surface of ``modal`` where there is one."""
-    owner = _owners(grid.axis, lines)
-    surface = _surface(grid, owner, modal)
-    owner = _owners(grid.axis, _with_skirts(grid, lines, surface))
+    surface = _surface(grid, _owners(grid), modal)
+    owner = _owners(_with_skirts(grid, surface))
     chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, grid.energy.size))
     unexplained = (
         _lines_alone(grid, owner, surface, settings.least_damping_ratio, chance)
         if modal is None
         else _over_surface(grid, owner, surface, modal, chance)
     )
-    return _LookedAt(grid, lines, owner, surface, unexplained)
+    held = np.asarray(np.isfinite(grid.energy).all(axis=-1))
+    counted = held[..., None] * grid.share
+    energy = counted * np.nan_to_num(grid.energy)
+    over = energy - counted * surface
+    of_line = np.array([_energy_of_lines(grid, owner, *of) for of in zip(grid.stated, over, strict=True)])
+    parts = {
+        "orders": (of_line * (grid.known & ~grid.is_tone)).sum(axis=1),
+        "tones": (of_line * (grid.known & grid.is_tone)).sum(axis=1),
+        "unexplained_lines": (of_line * ~grid.known).sum(axis=1),
+        "unexplained_cells": (counted * np.nan_to_num(unexplained)).sum(axis=(1, 2)),
+        "total": energy.sum(axis=(1, 2)),
+    }
+    return pd.DataFrame(parts).div(np.maximum(1, held.sum(axis=1)), axis=0)
 
 
-def _owners(axis: Floats, lines: EnergyLines) -> Ints:
-    """Line (rows, cells) to which each cell of ``axis`` belongs, the nearest within its reach; -1 for none."""
-    owner, nearest = np.full((len(lines.centre), len(axis)), -1), np.full((len(lines.centre), len(axis)), np.inf)
-    first = np.searchsorted(axis, lines.centre - lines.reach)
-    last = np.searchsorted(axis, lines.centre + lines.reach, side="right")
-    for row, line in np.ndindex(lines.centre.shape):
+def _owners(grid: EnergyMap) -> Ints:
+    """Line (rows, cells) to which each cell of ``grid`` belongs, the nearest within its reach; -1 for none."""
+    axis, centre = grid.axis, grid.centre
+    owner, nearest = np.full(grid.share.shape, -1), np.full(grid.share.shape, np.inf)
+    first = np.searchsorted(axis, centre - grid.reach)
+    last = np.searchsorted(axis, centre + grid.reach, side="right")
+    for row, line in np.ndindex(centre.shape):
         own = row, slice(first[row, line], last[row, line])
-        away = np.abs(axis[own[1]] - lines.centre[row, line])
+        away = np.abs(axis[own[1]] - centre[row, line])
         closer = away < nearest[own]
         owner[own][closer], nearest[own][closer] = line, away[closer]
     return owner
 
 
-def _with_skirts(grid: EnergyMap, lines: EnergyLines, surface: Floats) -> EnergyLines:
-    """The ``lines`` with a reach up to where the side lobes of their window sink into the floor."""
-    if not lines.centre.size:
-        return lines
-    own = lines.reach.min() / MAP_NUMBERS.line_bins
-    at = np.clip(np.searchsorted(grid.axis, lines.centre), 0, len(grid.axis) - 1)
+def _with_skirts(grid: EnergyMap, surface: Floats) -> EnergyMap:
+    """``grid`` whose lines reach to where the side lobes of their window sink into the floor, the ``surface``."""
+    if not grid.centre.size:
+        return grid
+    at = np.clip(np.searchsorted(grid.axis, grid.centre), 0, len(grid.axis) - 1)
     floor = surface[:, np.arange(len(at))[:, None], at]
     with np.errstate(invalid="ignore", divide="ignore"):
-        height = np.where(floor > 0.0, np.nan_to_num(lines.stated) / floor, 0.0).max(axis=0)
-    skirts = own * _skirt_bins(np.minimum(height, NUMBERS.most_height_ratio))
-    return replace(lines, reach=np.maximum(lines.reach, skirts))
+        height = np.where(floor > 0.0, np.nan_to_num(grid.stated) / floor, 0.0).max(axis=0)
+    skirts = grid.reach.min() / MAP_NUMBERS.line_bins * _skirt_bins(np.minimum(height, NUMBERS.most_height_ratio))
+    return replace(grid, reach=np.maximum(grid.reach, skirts))
 
 
 def _surface(grid: EnergyMap, owner: Ints, modal: ModalFit | None) -> Floats:
@@ -178,8 +177,7 @@ def _filled(axis: Floats, at: Floats, values: Floats) -> Floats:
 
 def _over_surface(grid: EnergyMap, owner: Ints, surface: Floats, modal: ModalFit, chance: float) -> Floats:
     """Energy (channels, rows, cells) outside the lines that stands over the ``surface`` as noise does not."""
-    free = (owner >= 0)[None] == np.zeros(grid.energy.shape, dtype=bool)
-    free &= (surface > 0.0) & (grid.energy > 0.0)
+    free = (owner < 0) & (surface > 0.0) & (grid.energy > 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where(free, grid.energy / surface, np.nan)
         level = _level(ratio, grid.averages[None, :], chance)
@@ -263,40 +261,22 @@ def _level(ratio: Floats, averages: Floats, false_alarm_probability: float) -> F
     return np.asarray(gammainccinv(n, false_alarm_probability) / n)
 
 
-def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
-    """Mean square of each part of one channel and in ``total``, over the rows that hold data."""
-    grid, lines = looked.grid, looked.lines
-    rows = np.flatnonzero(np.isfinite(grid.energy[number]).all(axis=-1))
-    share = grid.share[rows]
-    energy = share * grid.energy[number, rows]
-    of_line = _energy_of_lines(looked, number, rows, energy) if lines.centre.shape[1] else np.zeros(0)
-    known, tone = lines.known[number], lines.is_tone
-    parts = {
-        "orders": of_line[known & ~tone].sum(),
-        "tones": of_line[known & tone].sum(),
-        "unexplained_lines": of_line[~known].sum(),
-        "unexplained_cells": np.nan_to_num(share * looked.unexplained[number, rows]).sum(),
-        "total": energy.sum(),
-    }
-    return {name: float(part) / max(1, len(rows)) for name, part in parts.items()}
+def _energy_of_lines(grid: EnergyMap, owner: Ints, stated: Floats, over: Floats) -> Floats:
+    """Energy of each line in one channel, summed over the rows: what its cells have ``over`` (rows, cells) the surface.
 
-
-def _energy_of_lines(looked: _LookedAt, number: int, rows: Ints, energy: Floats) -> Floats:
-    """Energy of each line in channel ``number``, summed over the ``rows``, of which the cells have the ``energy``.
-
-    It is what stands in its cells over the surface. Lines whose main lobes meet share that as their amplitudes have
-    it: no cell tells which of them made it.
+    Lines whose main lobes meet share that as their ``stated`` (rows, lines) energies have it: no cell tells which of
+    them made it.
     """
-    grid, lines, owner = looked.grid, looked.lines, looked.owner[rows]
-    over = energy - grid.share[rows] * looked.surface[number, rows]
-    shape = owner.shape[0], lines.centre.shape[1]
-    place = (np.arange(len(rows))[:, None] * shape[1] + owner)[owner >= 0]
-    group = _groups(lines.centre[rows], MAP_NUMBERS.line_bins * float(grid.axis[1] - grid.axis[0]))
+    shape = grid.centre.shape
+    if not shape[1]:
+        return np.zeros(0)
+    place = (np.arange(shape[0])[:, None] * shape[1] + owner)[owner >= 0]
+    group = _groups(grid.centre, MAP_NUMBERS.line_bins * float(grid.axis[1] - grid.axis[0]))
 
     def together(values: Floats) -> Floats:
         return np.asarray(_sums(group.ravel(), values.ravel(), shape).ravel()[group])
 
-    weight = np.nan_to_num(lines.stated[number, rows]) + 1e-150  # alike where none of a group was seen
+    weight = np.nan_to_num(stated) + 1e-150  # alike where none of a group was seen
     part = weight / together(weight)
     return np.asarray(np.maximum(0.0, (part * together(_sums(place, over[owner >= 0], shape))).sum(axis=0)))
 
@@ -318,38 +298,29 @@ MAP_NUMBERS = MethodNumbers("5-identify-explain.toml", "energy_maps")
 
 
 @dataclass(frozen=True)
-class EnergyLines:
-    """Lines as they lie in the map: ``centre`` and ``reach`` (rows, lines) on its axis.
-
-    ``stated`` (channels, rows, lines) is the energy measured, NaN where the line was not seen; ``known`` (channels,
-    lines) whether its cause is; ``is_tone`` (lines,) whether it stays at its frequency.
-    """
-
-    centre: Floats
-    reach: Floats
-    stated: Floats
-    known: Bools
-    is_tone: Bools
-
-
-@dataclass(frozen=True)
 class EnergyMap:
-    """Mean square (channels, rows, cells) in each cell of ``axis`` (cells,), from ``averages`` (rows,) frames.
+    """Mean square (channels, rows, cells) in each cell of ``axis`` (cells,) of ``averages`` (rows,) frames, and lines.
 
-    ``share`` (rows, cells) is what of each cell counts: two maps of one band meet within a cell. ``kurtosis``
-    (channels, rows, cells) is the spectral kurtosis, None where it was not worked out.
+    ``centre`` and ``reach`` (rows, lines) are the places of the lines on the axis, ``stated`` (channels, rows, lines)
+    the energy measured, NaN where a line was not seen; ``known`` (channels, lines) whether its cause is, ``is_tone``
+    (lines,) whether it stays at its frequency. ``share`` (rows, cells) is what of each cell counts: two maps of one
+    band meet within a cell. ``kurtosis`` (channels, rows, cells) is the spectral kurtosis, None where it was not
+    worked out.
     """
 
     axis: Floats
     energy: Floats
     averages: Floats
     share: Floats
+    centre: Floats
+    reach: Floats
+    stated: Floats
+    known: Bools
+    is_tone: Bools
     kurtosis: Floats | None = None
 
 
-def by_frequency(
-    campbell: xr.Dataset, orders: AgreedOrders, modal: ModalFit, causes: Causes
-) -> tuple[EnergyMap, EnergyLines]:
+def by_frequency(campbell: xr.Dataset, orders: AgreedOrders, modal: ModalFit, causes: Causes) -> EnergyMap:
     """The ``campbell`` map as energies, and where ``orders`` and tones of ``modal`` lie in it, by their ``causes``."""
     resolution, enbw_hz = float(campbell.attrs["resolution_hz"]), float(campbell.attrs["enbw_hz"])
     frequency, speed = campbell["frequency"].values, campbell["speed"].values
@@ -377,11 +348,10 @@ def by_frequency(
     known = np.concatenate([_known_orders(channels, orders, causes), known_tones], axis=1)
     counts = campbell["n_frames"].values.astype(np.float64)
     is_tone = np.arange(centre.shape[1]) >= len(orders)
-    energies = EnergyMap(frequency, energy, counts, np.ones(energy.shape[1:]))
-    return energies, EnergyLines(centre, reach, stated, known, is_tone)
+    return EnergyMap(frequency, energy, counts, np.ones(energy.shape[1:]), centre, reach, stated, known, is_tone)
 
 
-def by_order(order_map: xr.Dataset, orders: AgreedOrders, causes: Causes) -> tuple[EnergyMap, EnergyLines]:
+def by_order(order_map: xr.Dataset, orders: AgreedOrders, causes: Causes) -> EnergyMap:
     """The ``order_map`` as energies, and where the ``orders`` lie in it, by their ``causes``."""
     axis, channels = order_map["order"].values, order_map["channel"].values.tolist()
     half, enbw = _square_of_peak(order_map), float(order_map.attrs.get("enbw_bins", 1.5))
@@ -397,26 +367,24 @@ def by_order(order_map: xr.Dataset, orders: AgreedOrders, causes: Causes) -> tup
     counts = order_map["n_independent"].values.astype(np.float64)
     known, is_tone = _known_orders(channels, orders, causes), np.zeros(len(orders), dtype=bool)
     kurtosis = order_map["spectral_kurtosis"].values if "spectral_kurtosis" in order_map else None
-    energies = EnergyMap(axis, energy, counts, np.ones(energy.shape[1:]), kurtosis)
-    return energies, EnergyLines(centre, reach, stated, known, is_tone)
+    whole = np.ones(energy.shape[1:])
+    return EnergyMap(axis, energy, counts, whole, centre, reach, stated, known, is_tone, kurtosis)
 
 
-def beyond(
-    campbell: xr.Dataset, order_map: xr.Dataset, orders: AgreedOrders, causes: Causes
-) -> tuple[EnergyMap, EnergyLines] | None:
+def beyond(campbell: xr.Dataset, order_map: xr.Dataset, orders: AgreedOrders, causes: Causes) -> EnergyMap | None:
     """What the ``order_map`` holds above the end of the ``campbell`` map, of ``orders`` with their ``causes``.
 
     None where it ends below at every speed.
     """
     if order_map.sizes.get("order", 0) < 2 or not order_map.sizes["speed"]:
         return None
-    grid, lines = by_order(order_map, orders, causes)
+    grid = by_order(order_map, orders, causes)
     ends_hz = float(campbell["frequency"].values[-1]) + 0.5 * float(campbell.attrs["resolution_hz"])
     per_order = np.nan_to_num(order_map["speed"].values)[:, None] / 60.0
     half = 0.5 * float(grid.axis[1] - grid.axis[0])
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.nan_to_num(np.clip((grid.axis + half - ends_hz / per_order) / (2.0 * half), 0.0, 1.0))
-    return (replace(grid, share=share), lines) if share.any() else None
+    return replace(grid, share=share) if share.any() else None
 
 
 def band_end_hz(campbell: xr.Dataset, order_map: xr.Dataset) -> float | None:
@@ -441,7 +409,6 @@ def _known_orders(channels: list[str], orders: AgreedOrders, causes: Causes) -> 
     """Whether the cause of each order is known (channels, orders); where it is no line of a channel, by the others."""
     known = np.zeros((len(channels), len(orders)), dtype=bool)
     for at, agreed in enumerate(orders):
-        known[:, at] = all(causes.orders[line.channel, agreed.order].known for line in agreed.lines)
-        for line in agreed.lines:
-            known[channels.index(line.channel), at] = causes.orders[line.channel, agreed.order].known
+        own = {line.channel: causes.orders[line.channel, agreed.order].known for line in agreed.lines}
+        known[:, at] = [own.get(channel, all(own.values())) for channel in channels]
     return known

@@ -16,7 +16,6 @@ from crankorder.identify.lines.line_evidence import ShownAlias
 from crankorder.identify.lines.line_phasors import nearest_multiple
 from crankorder.identify.lines.mains import mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.machine_model import (
-    CycleForce,
     MachineModel,
     PartsAt,
     StatedPart,
@@ -88,7 +87,7 @@ class Beside:
 class _Test:
     """What the rules know of a test: its ``orders``, the machine, and what was found of it before.
 
-    ``races`` that are struck, ``folds`` that show, ``forces`` of gas and masses, ``modes``; ``of_cycle`` by order the
+    ``races`` that are struck, ``folds`` that show, ``modes``; ``of_cycle`` by order the
     multiple of the cycle's order that it is or may be, or None.
     """
 
@@ -96,7 +95,6 @@ class _Test:
     machine: MachineModel
     races: list[StruckRace]
     folds: Sequence[ShownAlias]
-    forces: dict[tuple[str, float], CycleForce]
     modes: Sequence[Mode]
     of_cycle: dict[float, float | None]
 
@@ -150,8 +148,7 @@ def explained(
     causes, beside = LineCauses(), beside or Beside()
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
     of_cycle = {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders}
-    forces = _forces_of_cycle(orders, of_cycle, sources)
-    test = _Test(orders, sources, races, beside.folds, forces, modal.modes, of_cycle)
+    test = _Test(orders, sources, races, beside.folds, modal.modes, of_cycle)
     for agreed in orders:
         at = _stated_parts(agreed, bearings, test)
         for line in agreed.lines:
@@ -230,21 +227,12 @@ def _gas_in_pressure(of: _Line, test: _Test) -> Cause | None:
     return Cause("gas cycle", f"order {of.of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {of.proof}")
 
 
-def _forces_of_cycle(
-    orders: AgreedOrders, of_cycle: dict[float, float | None], sources: MachineModel
-) -> dict[tuple[str, float], CycleForce]:
-    """Gas and inertia by channel and order, at the speed where each line is largest; empty without gas or engine."""
-    if sources.engine is None or not sources.firing:
-        return {}
-    numbered = [(agreed, number) for agreed in orders if (number := of_cycle[agreed.order]) is not None]
-    lines = [(line.channel, agreed.order, number, line) for agreed, number in numbered for line in agreed.lines]
-    forces = cycle_forces(sources.engine, [(number, largest(line).speed_rpm) for *_, number, line in lines])
-    return {(channel, order): force for (channel, order, *_), force in zip(lines, forces, strict=True) if force}
-
-
 def _gas_or_masses(of: _Line, test: _Test) -> Cause | None:
     """Which of a firing engine's gas and masses makes a line, or that either may."""
-    force = test.forces.get((of.line.channel, of.agreed.order))
+    engine = test.machine.engine
+    if engine is None or not test.machine.firing or of.of_cycle is None:
+        return None
+    (force,) = cycle_forces(engine, [(of.of_cycle, largest(of.line).speed_rpm)])
     if force is None:
         return None
     evidence = f"{force.words}; {of.proof}"
@@ -403,7 +391,9 @@ def _explained_tones(
     causes = []
     for number, tone in enumerate(tones):
         band = of.get(number)
-        cause = _race_of_tone(tone, test.races, rpm)
+        is_mains = tone.kind == "mains"
+        may_be_race = tone.kind == "tone" or (is_mains and tone.frequency_hz >= NUMBERS.low_mains_hz)
+        cause = _race_at(tone, test.races, rpm, few=is_mains) if may_be_race else None
         if cause is None and tone.kind == "tone" and band is not None:
             evidence = f"one of a pair about a stronger tone; chance {band.chance:.1g}"
             cause = sideband_of(places[band.carrier], band.spacing, evidence, unit=" Hz")
@@ -435,12 +425,11 @@ def _tone_cause(tone: Tone, known: Sequence[LineSeen], supply_hz: float | None, 
     return replace(of_order(), evidence=tone.evidence) if tone.kind == "order" else Cause("tone", tone.evidence)
 
 
-def _race_of_tone(tone: Tone, races: list[StruckRace], rpm: float | None) -> Cause | None:
-    """The one of ``races`` that puts a line at a ``tone`` at the only speed ``rpm`` of a test."""
-    mains = tone.kind == "mains"
-    if rpm is None or tone.kind not in ("tone", "mains") or (mains and tone.frequency_hz < NUMBERS.low_mains_hz):
+def _race_at(line: Tone | Mode, races: list[StruckRace], rpm: float | None, *, few: bool) -> Cause | None:
+    """The one of ``races`` that puts a line where ``line`` stands at the only speed ``rpm`` of a test."""
+    if rpm is None:
         return None
-    return race_cause(races, tone.frequency_hz * 60.0 / rpm, tone.frequency_error_hz * 60.0 / rpm, few=mains)
+    return race_cause(races, line.frequency_hz * 60.0 / rpm, line.frequency_error_hz * 60.0 / rpm, few=few)
 
 
 def _of_mode(mode: Mode, races: list[StruckRace], rpm: float | None) -> Cause:
@@ -450,23 +439,20 @@ def _of_mode(mode: Mode, races: list[StruckRace], rpm: float | None) -> Cause:
     """
     if not mode.undecided:
         return Cause("mode", mode.evidence)
-    turns = 60.0 / rpm if rpm is not None else 0.0
-    race = race_cause(races, mode.frequency_hz * turns, mode.frequency_error_hz * turns, few=True) if turns else None
-    return race or Cause("undecided", mode.undecided)
+    return _race_at(mode, races, rpm, few=True) or Cause("undecided", mode.undecided)
 
 
 def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:
     """Which tones are multiples of one spacing, where most are: products of a few, which lie alike far from any."""
-    places, nothing = np.asarray(places_hz), [False] * len(places_hz)
+    places, least = np.asarray(places_hz), max(NUMBERS.grid_tones, 0.5 * len(places_hz))
     if len(places) < NUMBERS.grid_tones:
-        return nothing
-    best = np.zeros(len(places), dtype=bool)
-    for step in np.unique(np.diff(np.sort(places))):
-        near = NUMBERS.grid_share * step
-        reach = np.minimum(NUMBERS.same_sigmas * np.asarray(errors_hz) + near, 2.0 * near)
-        on = np.abs(places - step * np.round(places / step)) <= reach
-        best = on if np.count_nonzero(on) > np.count_nonzero(best) else best
-    return best.tolist() if np.count_nonzero(best) >= max(NUMBERS.grid_tones, 0.5 * len(places)) else nothing
+        return [False] * len(places)
+    step = np.unique(np.diff(np.sort(places)))[:, None]
+    near = NUMBERS.grid_share * step
+    reach = np.minimum(NUMBERS.same_sigmas * np.asarray(errors_hz) + near, 2.0 * near)
+    on = np.abs(places - step * np.round(places / step)) <= reach
+    best = on[np.argmax(on.sum(axis=1))]
+    return [bool(is_on and best.sum() >= least) for is_on in best]
 
 
 NEIGHBOUR_NUMBERS = MethodNumbers("5-identify-explain.toml", "one_cause")
@@ -489,19 +475,18 @@ def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes
     if rpm is not None:
         of_orders = [(of.order * rpm / 60.0, causes.orders[of.lines[0].channel, of.order]) for of in orders]
         lines += [(hertz, cause.text) for hertz, cause in of_orders if cause.known]
-    modes = tuple(_with_lines_there(mode, lines) if mode.undecided else mode for mode in modal.modes)
-    return replace(modal, modes=modes)
+    return replace(modal, modes=tuple(_with_lines_there(mode, lines) for mode in modal.modes))
 
 
 def _with_lines_there(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
-    """``mode`` with those of ``lines`` (Hz, cause) named that lie within its interval and may be all of it."""
+    """``mode``, if undecided with those of ``lines`` (Hz, cause) named that lie in its interval, and may be all."""
     low, high = mode.frequency_ends
     half = min(0.5 * (high - low), NEIGHBOUR_NUMBERS.near_share * mode.frequency_hz)
-    reach = max(NEIGHBOUR_NUMBERS.too_near_hz, half)
     away = sorted((abs(hertz - mode.frequency_hz), hertz, text) for hertz, text in lines)
-    near = [line for line in away if line[0] <= reach][: NEIGHBOUR_NUMBERS.most_named]
-    if not near:
+    near = [line for line in away if line[0] <= max(NEIGHBOUR_NUMBERS.too_near_hz, half)]
+    if not near or not mode.undecided:
         return mode
-    lines_there = " and ".join(f"{text} at {hertz:.5g} Hz" for _, hertz, text in near)
+    named = near[: NEIGHBOUR_NUMBERS.most_named]
+    lines_there = " and ".join(f"{text} at {hertz:.5g} Hz" for _, hertz, text in named)
     undecided = f"{mode.undecided}; {lines_there} stands there, and may be all of it"
-    return replace(mode, undecided=undecided, lines_there_hz=tuple(hertz for _, hertz, _ in near))
+    return replace(mode, undecided=undecided, lines_there_hz=tuple(hertz for _, hertz, _ in named))

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -32,31 +33,29 @@ def level_records(levels: Sequence[xr.Dataset]) -> tuple[Level, ...]:
     ``rms_max`` is that of the loudest recording; ``share_above`` that of all energy of the recordings alike; of the
     lines above the band the strongest is told.
     """
-    rows, units = dict[str, list[Floats]](), dict[str, str]()
-    for recording in levels:
-        names, own = (recording.variables[name].values.tolist() for name in ("channel", "unit"))
-        columns = [recording.variables[name].values for name in _LEVELS]
-        table = np.column_stack([*columns, np.full(len(names), recording.attrs["band_hz"])])
-        units = units or dict(zip(names, own, strict=True))
-        for name, row in zip(names, table, strict=True):
-            rows.setdefault(name, []).append(row)
-    return tuple(_record(name, unit, np.array(rows[name])) for name, unit in units.items())
+    tables = [
+        pd.DataFrame({name: recording[name].values for name in ("channel", "unit", *_LEVELS)}).assign(
+            band_hz=recording.attrs["band_hz"]
+        )
+        for recording in levels
+    ]
+    return tuple(_record(table) for _, table in pd.concat(tables).groupby("channel", sort=False)) if tables else ()
 
 
 _LEVELS = ("rms", "share_above", "peak_above", "peak_frequency", "peak_band", "peak_order", "peak_speed")
 
 
-def _record(name: str, unit: str, table: Floats) -> Level:
-    rms, share, above, *_, band_hz = table.T
-    measured = np.isfinite(rms) & np.isfinite(share)
-    energy = rms[measured] ** 2
-    strongest = dict(zip(_LEVELS, table[max(range(len(table)), key=lambda row: above[row])].tolist(), strict=False))
+def _record(table: pd.DataFrame) -> Level:
+    """Record of the channel of which ``table`` has a row for each recording."""
+    measured = table.dropna(subset=["rms", "share_above"])
+    energy = measured["rms"] ** 2
+    strongest = table.iloc[int(np.argmax(np.nan_to_num(table["peak_above"])))]
     return Level(
-        channel=name,
-        unit=unit,
-        rms_max=float(rms[measured].max()) if measured.any() else None,
-        band_hz=float(np.nanmax(band_hz)) if np.isfinite(band_hz).any() else None,
-        share_above=float(energy @ share[measured] / energy.sum()) if energy.sum() > 0.0 else None,
+        channel=strongest["channel"],
+        unit=strongest["unit"],
+        rms_max=finite(measured["rms"].max()),
+        band_hz=finite(table["band_hz"].max()),
+        share_above=float(energy @ measured["share_above"] / energy.sum()) if energy.sum() > 0.0 else None,
         amplitude_above=strongest["peak_above"] if strongest["peak_above"] > 0.0 else None,
         frequency_hz_above=finite(strongest["peak_frequency"]),
         band_hz_there=finite(strongest["peak_band"]),
@@ -76,7 +75,7 @@ def _values(vibration: xr.Dataset) -> Columns:
 def vibration_records(vibration: xr.Dataset) -> tuple[VibrationLevel, ...]:
     """Records of the broad-band levels of the VibrationLevels ``vibration``: one per channel, band and speed."""
     records, table = list[VibrationLevel](), _values(vibration)
-    for row in _rows(table, "broad band"):
+    for row in _rows(table, kind="broad band"):
         there = np.flatnonzero(np.isfinite(table["rms"][row])).tolist()
         loudest = int(np.nanargmax(table["rms"][row])) if there else -1
         for column in there if len(there) <= MOST_SPEEDS else [loudest]:
@@ -101,9 +100,9 @@ def vibration_records(vibration: xr.Dataset) -> tuple[VibrationLevel, ...]:
 def third_octave_records(vibration: xr.Dataset) -> tuple[ThirdOctave, ...]:
     """Records of the one-third octaves in the VibrationLevels ``vibration``, at each channel's loudest speed."""
     records, table = list[ThirdOctave](), _values(vibration)
-    rms, names = table["rms"], table["channel"].astype(str)
-    for name in dict.fromkeys(names.tolist()):
-        rows = [row for row in _rows(table, "one-third octave") if names[row] == name]
+    rms = table["rms"]
+    for name in dict.fromkeys(table["channel"].astype(str).tolist()):
+        rows = _rows(table, kind="one-third octave", channel=name)
         if not rows or not np.isfinite(rms[rows]).any():
             continue
         column = int(np.argmax(np.nansum(rms[rows] ** 2, axis=0)))
@@ -131,7 +130,9 @@ def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Mach
             verdicts.append(_grade_verdict(limit, balance))
             continue
         names = table["channel"].astype(str).tolist()
-        rows = [row for row in _rows(table, "broad band") if _is_for(table, row, limit)]
+        band = {"quantity": limit.quantity, "low_frequency": limit.low_hz, "high_frequency": limit.high_hz}
+        rows = _rows(table, kind="broad band", **band)
+        rows = [row for row in rows if not limit.channels or names[row] in limit.channels]
         verdicts += [_verdict(table, row, limit) for row in rows]
         unit, size = UNITS[limit.quantity]
         judged = [names[row] for row in rows]
@@ -149,12 +150,6 @@ def _on(limit: Limit, value: float, unit: str, **seen: Any) -> LimitVerdict:
     return LimitVerdict(quantity=limit.quantity, value=value, unit=unit, source=limit.source, **seen)
 
 
-def _is_for(table: Columns, row: int, limit: Limit) -> bool:
-    same = str(table["quantity"][row]) == limit.quantity
-    ends = (float(table["low_frequency"][row]), float(table["high_frequency"][row])) == (limit.low_hz, limit.high_hz)
-    return same and ends and (not limit.channels or str(table["channel"][row]) in limit.channels)
-
-
 def _verdict(table: Columns, row: int, limit: Limit) -> LimitVerdict:
     """What ``limit`` comes to at the level ``row`` over all speeds, which share the chance of a wrong verdict.
 
@@ -162,7 +157,8 @@ def _verdict(table: Columns, row: int, limit: Limit) -> LimitVerdict:
     not at all where it is to be surely above.
     """
     value, seen = limit.value_si / float(table["si_per_unit"][row]), dict[str, Any]()
-    least, most = (_beside(table, row, kind) for kind in (WITHOUT_ENDS, WITH_ENDS))
+    same = {name: table[name][row] for name in ("channel", "quantity", "low_frequency", "high_frequency")}
+    [least], [most] = (_rows(table, kind=kind, **same) for kind in (WITHOUT_ENDS, WITH_ENDS))
     rms = table["rms"][row]
     there = np.flatnonzero(np.isfinite(table["rms"][[row, least, most]]).all(axis=0))
     chance = (1.0 - CONFIDENCE) / max(1, len(there))
@@ -183,14 +179,6 @@ def _verdict(table: Columns, row: int, limit: Limit) -> LimitVerdict:
         seen = {"level": float(rms[loudest]), "level_ci95": ends, "speed_rpm": finite(table["speed"][loudest])}
     channel, unit = str(table["channel"][row]), str(table["unit"][row])
     return _on(limit, value, unit, channel=channel, verdict=verdict, evidence=evidence, **seen)
-
-
-def _beside(table: Columns, row: int, kind: str) -> int:
-    """The level of ``kind`` that is else as that of ``row``."""
-    same = table["kind"].astype(str) == kind
-    for name in ("channel", "quantity", "low_frequency", "high_frequency"):
-        same &= table[name] == table[name][row]
-    return int(np.flatnonzero(same)[0])
 
 
 def _surely(table: Columns, row: int, there: Ints, chance: float) -> Floats:
@@ -252,8 +240,10 @@ def _grade_verdict(limit: Limit, balance: Balance | None) -> LimitVerdict:
     return _on(limit, value, "mm/s", verdict=verdict, evidence=evidence, **seen)
 
 
-def _rows(table: Columns, kind: str) -> list[int]:
-    return [int(row) for row in np.flatnonzero(table["kind"].astype(str) == kind)]
+def _rows(table: Columns, **wanted: object) -> list[int]:
+    """Levels of which each column of ``wanted`` has that value."""
+    same = [table[name] == value for name, value in wanted.items()]
+    return np.flatnonzero(np.logical_and.reduce(same)).tolist()
 
 
 def _ends(values: Floats) -> Interval | None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import product, takewhile
 
 import numpy as np
 import xarray as xr
@@ -213,14 +214,14 @@ def _meshes(
         multiple = of_cycle[agreed.order]
         if multiple is not None and multiple == round(multiple):
             whole[round(multiple)] = (agreed.order, line)
-    family: LineCauses = {}
+    family, sizes = LineCauses(), {number: float(line.amplitude.max()) for number, (_, line) in whole.items()}
     known = {number for number, (order, _) in whole.items() if causes[channel, order].kind == "gear mesh"}
-    for mesh in sorted({*meshes({number: float(line.amplitude.max()) for number, (_, line) in whole.items()}), *known}):
+    for mesh in sorted({*meshes(sizes), *known}):
         order, line = whole[mesh]
         stated = mesh in known
         if not stated and (not causes[channel, order].is_just(*BY_ITSELF) or _lifted(line, mesh, modes_hz)):
             continue
-        sides = _sides(mesh, whole, line)
+        sides = _sides(mesh, sizes)
         if not stated:
             about = ", ".join(str(number) for number in sorted(sides))
             evidence = f"order {mesh} stands over its sidebands at orders {about}"
@@ -238,16 +239,11 @@ def sideband_of(carrier: float, spacing: float, evidence: str, *, unit: str = ""
     return Cause("sideband", evidence, {"of": of, "carrier": carrier, "unit": unit, "spacing": spacing})
 
 
-def _sides(mesh: int, whole: dict[int, tuple[float, OrderLine]], carrier: OrderLine) -> list[int]:
-    """Whole orders beside ``mesh``, outwards as long as none is missing or stands over half of its ``carrier``."""
-    sides = []
-    for step in (-1, 1):
-        for distance in range(1, FAMILY_NUMBERS.most_sidebands + 1):
-            beside = whole.get(mesh + step * distance)
-            if beside is None or NUMBERS.mesh_ratio * beside[1].amplitude.max() > carrier.amplitude.max():
-                break
-            sides.append(mesh + step * distance)
-    return sides
+def _sides(mesh: int, sizes: dict[int, float]) -> list[int]:
+    """Whole orders beside ``mesh``, outwards as long as none of ``sizes`` is missing or over half of its amplitude."""
+    reach, most = FAMILY_NUMBERS.most_sidebands + 1, sizes[mesh] / NUMBERS.mesh_ratio
+    outwards = range(mesh - 1, mesh - reach, -1), range(mesh + 1, mesh + reach)
+    return [side for sides in outwards for side in takewhile(lambda order: sizes.get(order, np.inf) <= most, sides)]
 
 
 def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
@@ -263,29 +259,27 @@ def _shafts(
     orders: AgreedOrders, causes: LineCauses, families: LineCauses, of_cycle: dict[float, float | None]
 ) -> LineCauses:
     """Lines not locked to the shaft, in whole ratios to one another: those of another shaft."""
-
-    opened = {
-        agreed.order: [key for line in agreed.lines if (key := (line.channel, agreed.order)) not in families]
-        for agreed in orders
-        if of_cycle[agreed.order] is None
-    }
-    opened = {order: [key for key in keys if causes[key].is_just("unexplained")] for order, keys in opened.items()}
-    free = [agreed for agreed in orders if opened.get(agreed.order)]
-    harmonics = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
-    shafts, reach = LineCauses(), FAMILY_NUMBERS.first_reach_orders
-    near_first = [[causes[line.channel, a.order] for line in a.lines] for a in orders if abs(a.order - 1.0) < reach]
-    has_first = any(not any("mains" in cause.kinds for cause in of_lines) for of_lines in near_first)
-    speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.doubts for agreed in free)
+    free = list[tuple[AgreedOrder, list[tuple[str, float]]]]()
+    for agreed in orders:
+        keys = [(line.channel, agreed.order) for line in agreed.lines]
+        opened = [key for key in keys if key not in families and causes[key].is_just("unexplained")]
+        free += [(agreed, opened)] if opened and of_cycle[agreed.order] is None else []
+    harmonics = other_shafts([agreed.order for agreed, _ in free], [agreed.order_error for agreed, _ in free])
+    counts, shafts = Counter(first for first, _ in harmonics.values()), LineCauses()
+    near_first = [agreed for agreed in orders if abs(agreed.order - 1.0) < FAMILY_NUMBERS.first_reach_orders]
+    has_first = any(
+        not any("mains" in causes[line.channel, agreed.order].kinds for line in agreed.lines) for agreed in near_first
+    )
+    speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.doubts for agreed, _ in free)
     for at, (first, multiple) in harmonics.items():
-        base = free[first].order
-        count = sum(1 for other, _ in harmonics.values() if other == first)
-        evidence = f"not locked to the shaft; {count} lines are whole multiples of order {base:.5g}"
+        base = free[first][0].order
+        evidence = f"not locked to the shaft; {counts[first]} lines are whole multiples of order {base:.5g}"
         if speed_may_be_wrong:
             evidence += "; nothing stands at order 1, and no pulses prove the speed"
         harmonic = "" if multiple == 1 else f"harmonic {multiple} of "
         kind: CauseKind = "stated shaft" if speed_may_be_wrong else "another shaft"
         cause = Cause(kind, evidence, {"harmonic": harmonic, "ratio": base})
-        shafts |= dict.fromkeys(opened[free[at].order], cause)
+        shafts |= dict.fromkeys(free[at][1], cause)
     return shafts
 
 
@@ -305,28 +299,18 @@ class StruckRace:
     shaft: float
     shaft_error: float
 
-    def nearest(self, order: float, error: float) -> tuple[int, int, float] | None:
-        """Harmonic and turns of the shaft at ``order`` and how far that is; None where, with its ``error``, none is."""
-        best = None
-        for harmonic in range(1, RACE_NUMBERS.most_harmonics + 1):
-            turns = round((order - harmonic * self.order) / self.shaft)
-            own = math.hypot(harmonic * self.order_error, turns * self.shaft_error)
-            known = max(math.hypot(own, error), RACE_NUMBERS.least_error * self.shaft)
-            few = harmonic <= RACE_NUMBERS.sure_harmonics and abs(turns) <= RACE_NUMBERS.sure_turns
-            if abs(turns) > RACE_NUMBERS.most_turns or (known > RACE_NUMBERS.sure_error * self.shaft and not few):
-                continue
-            away = abs(order - harmonic * self.order - turns * self.shaft)
-            near = away <= RACE_NUMBERS.same_sigmas * min(known, RACE_NUMBERS.most_error * self.shaft)
-            if near and (best is None or harmonic + abs(turns) < best[0] + abs(best[1])):
-                best = harmonic, turns, away
-        return best
-
-    def cause(self, harmonic: int, turns: int) -> Cause:
-        """The line of that ``harmonic``, so many ``turns`` of the shaft beside: strikes have many of both."""
-        names = f"{self.name} {self.title}" + (f", harmonic {harmonic}" if harmonic > 1 else "")
-        names += f" {'+' if turns > 0 else '-'} {abs(turns)} x shaft" if turns else ""
-        evidence = "where the strikes that were found have a harmonic, or one with turns of the shaft beside it"
-        return Cause("bearing", evidence, {"names": names})
+    def nearest(self, order: float, error: float) -> tuple[int, int] | None:
+        """Lowest harmonic and turns of the shaft at ``order``, within its standard ``error``; None where none is."""
+        harmonic = np.arange(1, RACE_NUMBERS.most_harmonics + 1)
+        turns = np.rint((order - harmonic * self.order) / self.shaft)
+        known = np.hypot(np.hypot(harmonic * self.order_error, turns * self.shaft_error), error) / self.shaft
+        known = np.maximum(known, RACE_NUMBERS.least_error)
+        away = np.abs(order - harmonic * self.order - turns * self.shaft) / self.shaft
+        few = (harmonic <= RACE_NUMBERS.sure_harmonics) & (np.abs(turns) <= RACE_NUMBERS.sure_turns)
+        near = (np.abs(turns) <= RACE_NUMBERS.most_turns) & (few | (known <= RACE_NUMBERS.sure_error))
+        near &= away <= RACE_NUMBERS.same_sigmas * np.minimum(known, RACE_NUMBERS.most_error)
+        at = int(np.argmin(np.where(near, harmonic + np.abs(turns), np.inf)))
+        return (int(harmonic[at]), int(turns[at])) if near[at] else None
 
 
 def struck_races(
@@ -337,23 +321,22 @@ def struck_races(
     The line of the vibration is the finer one; the shaft's own order is what the record of the envelope read from the
     sidebands, or the one that ``sources`` state.
     """
-    races: dict[tuple[str, str], StruckRace] = {}
-    ratio = {bearing.name: bearing.shaft_ratio for bearing in sources.bearings}
-    for record in sorted(bearings, key=lambda record: record.seen_in != "envelope"):
-        key = record.name, record.line
-        if record.line not in STRUCK or record.lock == "locked":
-            continue
-        error = record.order_half / Z95
-        old, shaft = races.get(key), record.shaft_order
-        if old is None:
-            title, stated = "2 x BSF" if record.line == "BSF" else record.line, float(ratio.get(record.name, 1.0))
-            shaft_error = RACE_NUMBERS.stated_error_share * stated
-            races[key] = StruckRace(record.name, title, record.order, error, shaft or stated, shaft_error)
-            continue
-        same = abs(record.order - old.order) <= RACE_NUMBERS.same_sigmas * math.hypot(error, old.order_error)
-        if same and error < old.order_error:
-            races[key] = replace(old, order=record.order, order_error=error)
-    return [_refined(race, lines) for race in races.values()]
+    struck = [record for record in bearings if record.line in STRUCK and record.lock != "locked"]
+    struck.sort(key=lambda record: record.seen_in != "envelope")
+    ratio, races = {bearing.name: bearing.shaft_ratio for bearing in sources.bearings}, list[StruckRace]()
+    for name, line in dict.fromkeys((record.name, record.line) for record in struck):
+        first, *others = (record for record in struck if (record.name, record.line) == (name, line))
+        reach = RACE_NUMBERS.same_sigmas / Z95
+        same = [
+            other
+            for other in others
+            if abs(other.order - first.order) <= reach * math.hypot(other.order_half, first.order_half)
+        ]
+        finest, stated = min((first, *same), key=lambda record: record.order_half), float(ratio.get(name, 1.0))
+        shaft = first.shaft_order or stated, RACE_NUMBERS.stated_error_share * stated
+        race = StruckRace(name, "2 x BSF" if line == "BSF" else line, finest.order, finest.order_half / Z95, *shaft)
+        races.append(_refined(race, lines))
+    return races
 
 
 def race_cause(races: Sequence[StruckRace], order: float, error: float, *, few: bool = False) -> Cause | None:
@@ -363,11 +346,15 @@ def race_cause(races: Sequence[StruckRace], order: float, error: float, *, few: 
     """
     near = []
     for race in races:
-        harmonic, turns, _ = race.nearest(order, error) or (0, 0, 0.0)
+        harmonic, turns = race.nearest(order, error) or (0, 0)
         many = harmonic > RACE_NUMBERS.sure_harmonics or abs(turns) > RACE_NUMBERS.sure_turns
         if harmonic and not (few and many):
-            near.append((harmonic + abs(turns), race.cause(harmonic, turns)))
-    return min(near, key=lambda pair: (pair[0], pair[1].text))[1] if near else None
+            names = f"{race.name} {race.title}" + (f", harmonic {harmonic}" if harmonic > 1 else "")
+            names += f" {'+' if turns > 0 else '-'} {abs(turns)} x shaft" if turns else ""
+            near.append((harmonic + abs(turns), names))
+    # strikes have many harmonics, and turns of the shaft beside each
+    evidence = "where the strikes that were found have a harmonic, or one with turns of the shaft beside it"
+    return Cause("bearing", evidence, {"names": min(near)[1]}) if near else None
 
 
 def _refined(race: StruckRace, lines: Sequence[tuple[float, float]]) -> StruckRace:
@@ -375,7 +362,7 @@ def _refined(race: StruckRace, lines: Sequence[tuple[float, float]]) -> StruckRa
     hits = [(*place, order, error) for order, error in lines if (place := race.nearest(order, error)) is not None]
     if len(hits) < RACE_NUMBERS.anchors:
         return race
-    harmonic, turns, _, order, error = np.array(hits, dtype=float).T
+    harmonic, turns, order, error = np.array(hits, dtype=float).T
     lowest = np.argsort(harmonic + np.abs(turns), kind="stable")[: RACE_NUMBERS.anchors]
     harmonic, turns, order = harmonic[lowest], turns[lowest], order[lowest]
     error = np.maximum(error[lowest], RACE_NUMBERS.least_error * race.shaft)

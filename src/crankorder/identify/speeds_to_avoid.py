@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -127,7 +128,6 @@ def speeds_to_avoid(
         *(_open(min(_range(a)[0], a.rpm * least), max(_range(a)[1], a.rpm * most), "") for a in avoid),
         *_by_modes(found, modal, sizes, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
-        *_by_shown(orders, modal, settings),
     ]
     free, rest = _split(opened, speed_rpm, settings)
     return SpeedVerdicts(avoid, free, rest)
@@ -191,16 +191,18 @@ def _cost(
     costs = [(channel, peak.amplitude, largest.in_unit(channel)) for channel, peak in peaks.items()]
     shares = {channel: size / most for channel, size, most in costs if most > 0.0}
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
-    peak = peaks.get(channel)
     # how many times what it is without the mode: by the fit, unless the amplitudes stand higher over their trend
     trends = [excess for excess in crossing.trends if excess.channel == channel]
     times = trend = min(trends, key=lambda excess: excess.chance, default=None)
-    if peak is not None and peak.response is not None:
-        by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
-        if by_fit is not None:
-            times = by_fit if trend is None else higher(by_fit, [trend])
-    if times is not None and not (times.ratio is not None and times.ratio >= CROSSINGS.clearly_excited_ratio):
-        times = None  # less than makes a speed one to avoid
+    seen = dict[str, Any]()
+    if (peak := peaks.get(channel)) is not None:
+        seen = {"amplitude": peak.amplitude, "amplitude_ci95": peak.ends, "by_fit": peak.by_fit}
+        by_fit = None if peak.response is None else fitted_excess(peak.response, modal.modes.index(mode), modal)
+        times = trend if by_fit is None else by_fit if trend is None else higher(by_fit, [trend])
+        seen["at_least"] = peak.response is None
+    # less than that makes no speed one to avoid
+    if times is not None and times.ratio is not None and times.ratio >= CROSSINGS.clearly_excited_ratio:
+        seen |= {"amplification": times.ratio, "amplification_ci95": (times.ratio_low, times.ratio_high)}
     of_whirl = "" if crossing.whirl is None else f" of a whirl that moves by {crossing.whirl.slope:.3g} orders"
     undecided = ", which may be a natural frequency" if mode.undecided else ""
     return _to_avoid(
@@ -209,14 +211,9 @@ def _cost(
         rpm=finding.rpm,
         rpm_range=rpm_range,
         channel=channel,
-        amplitude=None if peak is None else peak.amplitude,
-        amplitude_ci95=None if peak is None else peak.ends,
-        by_fit=peak is not None and peak.by_fit,
-        at_least=peak is not None and peak.response is None,
-        amplification=None if times is None else times.ratio,
-        amplification_ci95=None if times is None else (times.ratio_low, times.ratio_high),
         cost=shares.get(channel, 0.0),
         reason=f"order {finding.order:.4g} meets {finding.mode_hz:.4g} Hz{of_whirl}{undecided}",
+        **seen,
     )
 
 
@@ -263,18 +260,15 @@ def _fitted_peak(response: OrderResponse, rpm: float, rpm_range: Ends, modal: Mo
 
 def _joined(met: list[AvoidedSpeed]) -> list[AvoidedSpeed]:
     """One speed to avoid of all crossings whose ranges overlap, named and ranked after the costliest."""
-    joined, groups = list[AvoidedSpeed](), list[list[AvoidedSpeed]]()
-    for peak in sorted(met, key=lambda peak: _range(peak)[0]):
-        if groups and _range(peak)[0] <= max(_range(other)[1] for other in groups[-1]):
-            groups[-1].append(peak)
-        else:
-            groups.append([peak])
-    for group in groups:
-        by_cost = sorted(group, key=lambda peak: -(peak.cost or 0.0))
-        begins, ends = zip(*map(_range, group), strict=True)
+    met = sorted(met, key=lambda peak: _range(peak)[0])
+    begins, ends = np.array([_range(peak) for peak in met]).reshape(-1, 2).T
+    first = np.flatnonzero(begins > np.append(-np.inf, np.maximum.accumulate(ends))[:-1]).tolist()
+    joined = []
+    for begin, end in pairwise([*first, len(met)]):
+        by_cost = sorted(met[begin:end], key=lambda peak: -(peak.cost or 0.0))
         speed = replace(
             by_cost[0],
-            rpm_range=(min(begins), max(ends)),
+            rpm_range=(float(begins[begin]), float(ends[begin:end].max())),
             orders=tuple(peak.order for peak in by_cost),
             modes_hz=tuple(peak.mode_hz for peak in by_cost),
             reason=" and ".join(peak.reason for peak in by_cost),
@@ -299,10 +293,9 @@ def _by_modes(found: Sequence[Crossing], modal: ModalFit, largest: Sizes, settin
             low, high = finding.rpm - slower * (finding.rpm - low), finding.rpm + slower * (high - finding.rpm)
             says = finding.verdict if finding.in_range else "beside the tested range, so that its flank may reach in"
             bands.append(_open(low, high, f"{what}: {says}"))
-        alike: dict[tuple[str, str, Ends], list[OrderResponse]] = {}
-        for fit in fits:
-            alike.setdefault((fit.recording, largest.unit[fit.channel], fit.force.span_rpm), []).append(fit)
-        for _, group in sorted(alike.items(), key=lambda pair: pair[0]):
+        alike = [(fit.recording, largest.unit[fit.channel], fit.force.span_rpm) for fit in fits]
+        for key in sorted(set(alike)):
+            group = [fit for fit, its_key in zip(fits, alike, strict=True) if its_key == key]
             matters = EXCLUSION.matters_share * max(largest.of_channel.get(fit.channel, 0.0) for fit in group)
             bands += _amplified(group, number, modal, what, matters=matters, settings=settings)
     return bands
@@ -350,41 +343,29 @@ def _amplifying(rpm: tuple[float, float], factor: float) -> tuple[float, float]:
 def _by_unseen(
     orders: AgreedOrders, modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
 ) -> list[OpenBand]:
-    """Speeds at which a mode that nobody saw could amplify an order by more than is free."""
-    low, high = speed_rpm
-    if not orders:
-        return [_open(low, high, "no order stands out")]
-    bands: list[OpenBand] = []
-    for agreed in orders:
-        bounds = [unseen for unseen in modal.unseen if _is_order(agreed.order, unseen.order)]
-        name = f"order {agreed.order:.4g}"
-        if not bounds:
+    """Speeds at which an order could be amplified by more than is free and nobody saw it.
+
+    By a mode that was not seen; an order that only the spectra of sweeps show also where it meets one of ``modal``.
+    """
+    (low, high), factor = speed_rpm, settings.free_amplification
+    bands = list[OpenBand]() if orders else [_open(low, high, "no order stands out")]
+    measured = [agreed.order for agreed in orders]
+    shown = [order for order in modal.shown_orders if not any(_is_order(order, other) for other in measured)]
+    for order in (*measured, *shown):
+        name, bounds = f"order {order:.4g}", [bound for bound in modal.unseen if _is_order(order, bound.order)]
+        if order in shown:
+            name += ", which only the spectrum of the sweep shows,"
+            for mode in modal.modes:
+                begin, end = (60.0 * hertz / order for hertz in mode.frequency_ends)
+                bands.append(_open(*_amplifying((begin, end), factor), f"{name} meets {mode.frequency_hz:.4g} Hz"))
+        elif bounds:
+            speeds = [float(bound.speed_rpm[at]) for bound in bounds for at in (0, -1)]
+            ends = (low, min(speeds)), (max(speeds), high)
+            beside = [(begin, end) for begin, end in ends if end > begin * (1.0 + NUMBERS.same_speed_share)]
+            bands += [_open(begin, end, f"{name} was not measured there") for begin, end in beside]
+        else:
             bands.append(_open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
-            continue
-        first = min(float(bound.speed_rpm[0]) for bound in bounds)
-        last = max(float(bound.speed_rpm[-1]) for bound in bounds)
-        ends = ((low, first), (last, high))
-        bands += [
-            _open(a, b, f"{name} was not measured there") for a, b in ends if b > a * (1.0 + NUMBERS.same_speed_share)
-        ]
-        for bound in bounds:
-            bands += _between(bound, settings.free_amplification, name)
-    return bands
-
-
-def _by_shown(orders: AgreedOrders, modal: ModalFit, settings: IdentifySettings) -> list[OpenBand]:
-    """Speeds at which an order that only the spectra of sweeps show meets a mode, or could meet one that nobody saw."""
-    bands: list[OpenBand] = []
-    for order in modal.shown_orders:
-        if any(_is_order(order, agreed.order) for agreed in orders):
-            continue
-        name = f"order {order:.4g}, which only the spectrum of the sweep shows,"
-        for mode in modal.modes:
-            begin, end = (60.0 * hertz / order for hertz in mode.frequency_ends)
-            low, high = _amplifying((begin, end), settings.free_amplification)
-            bands.append(_open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"))
-        for bound in modal.unseen:
-            bands += _between(bound, settings.free_amplification, name) if _is_order(order, bound.order) else []
+        bands += [band for bound in bounds for band in _between(bound, factor, name)]
     return bands
 
 
