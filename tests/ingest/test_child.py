@@ -35,10 +35,11 @@ def test_the_value_and_our_own_errors_come_back(path):
         in_child(refuse, path, n_bytes=0)
 
 
-def test_what_a_parser_raises_and_takes_too_much_of_is_named_with_the_file(path, monkeypatch):
+def test_a_parser_that_raises_dies_or_takes_too_much_ends_alone(path, monkeypatch):
     rows = [
         (lambda: 1 / 0, InputError, r"a\.xyz: damaged: cannot be parsed; found ZeroDivisionError"),
         (lambda: np.ones(10**9), UnsafeInputError, "too much memory"),
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), CrankorderError, "its parser died"),
         (lambda: time.sleep(60), UnsafeInputError, "too long"),
     ]
     for task, kind, words in rows:
@@ -46,11 +47,6 @@ def test_what_a_parser_raises_and_takes_too_much_of_is_named_with_the_file(path,
             monkeypatch.setattr(child, "LEAST_SECONDS", 0.3)
         with pytest.raises(kind, match=words):
             in_child(task, path, n_bytes=0)
-
-
-def test_a_crash_of_the_parser_ends_it_alone(path):
-    with pytest.raises(CrankorderError):
-        in_child(lambda: os.kill(os.getpid(), signal.SIGKILL), path, n_bytes=0)
 
 
 SHEET = (

@@ -92,15 +92,14 @@ def test_a_test_without_channels_needs_pulses(tmp_path):
     assert "no channel is named" in checked.output and "edge_list" in checked.output
 
 
-def joined(folder, *, offset_s=0.0, names=("a",), files="*.h5"):
-    """A folder with signals and, beside each, the edges of its crank on a clock that starts ``offset_s`` later."""
+def joined(folder, *, offset_s=0.0):
+    """A folder with a signal and beside it the edges of its crank on a clock that starts ``offset_s`` later."""
     folder.mkdir()
-    for seed, name in enumerate(names):
-        write_signal(folder / f"{name}.h5")
-        write_edges(folder / f"{name}.edges.csv", rows_of(*(edges - offset_s for edges in edges_of(seed))))
+    write_signal(folder / "a.h5")
+    write_edges(folder / "a.edges.csv", rows_of(*(edges - offset_s for edges in edges_of(0))))
     encoder = {"file": "*.edges.csv", "kind": "edge_list", "source": "crank", "time_source": "Time [s]"}
     encoder |= {"offset_s": offset_s, **WHEEL}
-    text = manifest(files, name="joined", cycle="four-stroke", channels={"A": {"source": "a"}}, encoder=encoder)
+    text = manifest("*", name="joined", cycle="four-stroke", channels={"A": {"source": "a"}}, encoder=encoder)
     (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder
 
@@ -146,18 +145,6 @@ def test_d13_a_drift_between_the_clocks_of_two_devices_is_told_by_the_orders(tmp
     found, half = (float(text.split()[0]) for text in told[flag]["detail"].split(" by ", 1)[1].split(" ± "))
     assert abs(found - ppm) < 2.0 * half < 10.0
     assert not ppm or ("fast" if ppm > 0.0 else "slow") in told[flag]["detail"]
-
-
-@pytest.mark.slow
-def test_a_list_of_edges_is_no_recording_and_a_missing_one_takes_its_own_recording_alone(tmp_path):
-    folder = joined(tmp_path / "joined", names=("a", "b"), files="*")
-    assert "edges.csv" not in done("run", folder, "--out", tmp_path / "whole", "--no-pictures").output
-    (folder / "b.edges.csv").unlink()
-    checked = crankorder("check", folder)
-    assert checked.exit_code != 0 and "b.edges.csv: no such file" in checked.output
-    outcome = crankorder("run", folder, "--out", tmp_path / "out", "--no-pictures")
-    assert outcome.exit_code == 3 and "b.edges.csv: no such file" in outcome.output
-    assert findings_in(tmp_path / "out")["orders"]
 
 
 @pytest.mark.parametrize(

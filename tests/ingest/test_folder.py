@@ -51,13 +51,6 @@ def test_an_empty_folder_says_what_was_looked_for(tmp_path, found_in):
         found_in(tmp_path, "*.h5", "b*")
 
 
-def test_a_missing_file_is_a_fault_of_its_own(tmp_path, found_in):
-    touched(tmp_path, "a.h5")
-    folder = found_in(tmp_path, "a.h5", "b.h5")
-    assert [path.name for path in folder.paths] == ["a.h5"]
-    assert "b.h5: no such file" in str(folder.faults[0])
-
-
 def test_a_folder_without_permission_is_told_as_one(tmp_path, found_in, monkeypatch):
     monkeypatch.setattr(Path, "is_symlink", Mock(side_effect=PermissionError(13, "Permission denied")))
     assert "no permission to read" in str(found_in(tmp_path, "a.h5").faults[0])

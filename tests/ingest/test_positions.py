@@ -3,7 +3,6 @@
 import json
 import re
 
-import h5py
 import numpy as np
 import pytest
 import scipy.io
@@ -156,13 +155,6 @@ def test_a_speed_in_a_name_is_held_against_the_speed_found(tmp_path, settings, r
     assert "speed_not_as_named" not in done("check", tmp_path).output
 
 
-def test_a_speed_at_another_rate_is_told(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        for name, values, unit, rate in (("acc", ROW % 7.0, "m/s2", 4000.0), ("drive", ROW[:160] * 0.0, "rpm", 40.0)):
-            file.create_dataset(name, data=values + 0.5).attrs.update({"unit": unit, "sample_rate": rate})
-    assert "nothing in the files tells a speed" not in draft_manifest(tmp_path)
-
-
 # Files by crank angle that hold a column of angles: a manifest that contradicts it is refused, whatever the format.
 
 
@@ -178,10 +170,6 @@ def as_hdf5(folder, angle, pressure):
     write_hdf5(folder / "a.h5", columns, unit={"alpha": "rad", "p": "bar"})
 
 
-def as_matlab(folder, angle, pressure):
-    scipy.io.savemat(folder / "a.mat", {"crank_angle": angle, "p_cyl": pressure})
-
-
 def as_mdf4(folder, angle, pressure):
     asammdf = pytest.importorskip("asammdf", reason="the package asammdf (extra mdf) is not installed")
     growing = np.unwrap(angle, period=720.0)  # a master grows
@@ -191,11 +179,8 @@ def as_mdf4(folder, angle, pressure):
         file.save(folder / "a.mf4", overwrite=True)
 
 
-WRITERS = [as_text, as_hdf5, as_matlab, as_mdf4]
-
-
-@pytest.mark.parametrize(("write", "seed"), [*((write, 1) for write in WRITERS), (as_text, 2)])
-@pytest.mark.cases(5)
+@pytest.mark.parametrize(("write", "seed"), [(as_text, 1), (as_hdf5, 1), (as_mdf4, 1), (as_text, 2)])
+@pytest.mark.cases(4)
 def test_a_manifest_that_contradicts_the_files_angles_is_refused_and_a_right_one_is_not(tmp_path, read_in, write, seed):
     rng = np.random.default_rng(seed)
     per_rev = int(rng.choice([180, 360, 1024]))
@@ -203,6 +188,7 @@ def test_a_manifest_that_contradicts_the_files_angles_is_refused_and_a_right_one
     angle = (start + np.arange(12 * per_rev) * 360.0 / per_rev + 360.0) % 720.0 - 360.0
     write(tmp_path, angle, 10.0 + np.cos(np.deg2rad(angle)) + 0.01 * rng.standard_normal(angle.size))
     text = draft_manifest(tmp_path).replace('cycle = "rotor"', 'cycle = "four-stroke"')
+    assert ("the angle runs over two revolutions" in text) == (write is not as_mdf4)  # whose angle grows
 
     def read(text):
         (tmp_path / "run.toml").write_text(text, encoding="utf-8")

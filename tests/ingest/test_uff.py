@@ -24,19 +24,26 @@ def header(name, n, *, form=2, function=1, node=3, spacing=1, time="s"):
     )  # fmt: skip
 
 
-def as_text(name, values, *, form=2, **more):
-    width, per_line, written = (13, 6, "13.5E") if form == 2 else (20, 4, "20.12E")
-    cells = [f"{value:{written}}" for value in values]
-    assert all(len(cell) == width for cell in cells)
+def text_set(head, cells, per_line):
+    """Data set of the ``cells`` of a text, so many on each line; the last line is padded."""
     rows = ["".join(cells[first : first + per_line]) for first in range(0, len(cells), per_line)]
-    body = header(name, len(values), form=form, **more) + "\n".join(rows)  # type: ignore[arg-type]
-    return f"    -1\n    58\n{body}\n    -1\n".encode()
+    body = "\n".join(rows)
+    return f"    -1\n    58\n{head}{body.ljust(80)}\n    -1\n".encode()
 
 
-def as_binary(name, values, *, form=2, order=1, **more):
-    data = values.astype(("<" if order == 1 else ">") + ("f4" if form == 2 else "f8")).tobytes()
+def binary_set(head, data, order):
     first = f"    58b{order:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
-    return f"    -1\n{first}{header(name, len(values), form=form, **more)}".encode() + data + b"\n    -1\n"  # type: ignore[arg-type]
+    return f"    -1\n{first}{head}".encode() + data + b"\n    -1\n"
+
+
+def as_text(name, values, *, form=2, **more):
+    written, per_line = ("13.5E", 6) if form == 2 else ("20.12E", 4)
+    return text_set(header(name, len(values), form=form, **more), [f"{value:{written}}" for value in values], per_line)
+
+
+def as_binary(name, values, *, form=2, order=1):
+    data = values.astype(("<" if order == 1 else ">") + ("f4" if form == 2 else "f8")).tobytes()
+    return binary_set(header(name, len(values), form=form), data, order)
 
 
 @pytest.fixture
@@ -89,11 +96,9 @@ def paired(form, times, values, time="s"):
         sign = "<" if number == 1 else ">"
         points = np.empty(len(times), dtype=[("time", sign + first), ("value", sign + second)])
         points["time"], points["value"] = times, values
-        head = f"    58b{number:6d}{2:6d}{11:12d}{points.nbytes:12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
-        return f"    -1\n{head}{text}".encode() + points.tobytes() + b"\n    -1\n"
+        return binary_set(text, points.tobytes(), number)
     cells = [f"{at:{first}}{value:{second}}" for at, value in zip(times, values, strict=True)]
-    rows = ["".join(cells[start : start + number]) for start in range(0, len(cells), number)]
-    return f"    -1\n    58\n{text}{chr(10).join(rows).ljust(80)}\n    -1\n".encode()  # the last line is padded
+    return text_set(text, cells, number)
 
 
 @pytest.mark.parametrize("form", PAIRS)
@@ -141,10 +146,6 @@ def test_damage_is_named(read):
         assert old in data
         with pytest.raises(InputError, match=words):
             read(data.replace(old, new, 1).encode())
-
-
-@pytest.mark.slow
-def test_binary_numbers_of_another_machine_are_refused(read):
     data = as_binary("one", np.ones(7))
     with pytest.raises(InputError, match="of a kind that is not read"):
         read(data.replace(b"     1     2          11", b"     1     3          11"))
