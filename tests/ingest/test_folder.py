@@ -9,7 +9,7 @@ import pytest
 
 from crankorder.errors import InputError, NoUsableRecordingError, UnsafeInputError
 from crankorder.ingest.folder import check_regular, recordings_of
-from crankorder.ingest.formats import format_of
+from crankorder.ingest.formats import contents_of, format_of
 
 HEAD = 'schema_version = 1\n[test]\ncycle = "rotor"\n[recordings]\nfiles = {}\n'
 CHANNEL = '[[channels]]\nname = "a"\nunit = "V"\n'
@@ -121,8 +121,18 @@ def test_a_name_that_is_not_utf_8_is_shown_escaped(tmp_path, found_in):
         format_of(path)
 
 
-def test_a_file_that_is_not_what_it_seems_is_named_by_its_content(tmp_path):
+HEAD_HDF = (
+    b"start of data: 8192\r\nnumber of channels: 2\r\nnbr of scans: 4410\r\nchannel definition: 1\r\ncalibration: 93.5"
+)
+
+
+def test_a_file_that_is_not_what_it_seems_is_named_by_its_content(tmp_path, limits):
     rows = [
+        ("a.hdf", HEAD_HDF.ljust(8192, b" ") + bytes(8000), "HEAD acoustics file.*ArtemiS"),
+        ("a.dat", HEAD_HDF.ljust(500, b"\0") + bytes(8000), "HEAD acoustics file.*ArtemiS"),
+        ("a.dxd", b"MULTI_STREAM_FILE_VER02106\0\0\0Dewesoft_Data_7.x__" + bytes(900), "Dewesoft file.*DewesoftX"),
+        ("a.d7d", b"\x01\x02\0\0DEWESoft 7" + bytes(900), "Dewesoft file.*DewesoftX"),
+        ("a.001", b"\0\0AVL I-FILE V2.1\0" + bytes(900), "AVL IFile.*Concerto"),
         ("a.h5", b"", "truncated: the file is empty"), ("a.h5", b"\0" * 5000, "holds only zeros"),
         ("a.h5", b"time,acc\n0,1\n", r"is text, though its name ends in \.h5"),
         ("a.mat", b"<!DOCTYPE html><html>404", "is an HTML or XML page: not a recording"),
@@ -134,5 +144,5 @@ def test_a_file_that_is_not_what_it_seems_is_named_by_its_content(tmp_path):
     ]  # fmt: skip
     for name, content, words in rows:
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(InputError, match=words):
-            format_of(tmp_path / name)
+        with pytest.raises(InputError, match=rf"(?s)a\..*{words}"):
+            contents_of(tmp_path / name, settings=limits)

@@ -174,27 +174,6 @@ def test_a2_a_cut_tdms_is_refused_or_flagged_with_counts_but_between_segments(tm
     assert capfd.readouterr().err == ""
 
 
-HEAD_HDF = (
-    b"start of data: 8192\r\nnumber of channels: 2\r\nnbr of scans: 4410\r\nchannel definition: 1\r\ncalibration: 93.5"
-)
-
-
-def test_what_cannot_be_read_is_told_with_how_to_export_it(tmp_path, limits):
-    rows = [
-        ("a.hdf", HEAD_HDF.ljust(8192, b" ") + bytes(8000), "HEAD acoustics file.*ArtemiS"),
-        ("a.dat", HEAD_HDF.ljust(500, b"\0") + bytes(8000), "HEAD acoustics file.*ArtemiS"),
-        ("a.hdf", b"abc\0" * 100, "HEAD .hdf is a format of its own"),
-        ("a.dxd", b"MULTI_STREAM_FILE_VER02106\0\0\0Dewesoft_Data_7.x__" + bytes(900), "Dewesoft file.*DewesoftX"),
-        ("a.d7d", b"\x01\x02\0\0DEWESoft 7" + bytes(900), "Dewesoft file.*DewesoftX"),
-        ("a.001", b"\0\0AVL I-FILE V2.1\0" + bytes(900), "AVL IFile.*Concerto"),
-        ("a.bin", b"\0multifile" + bytes(900), "content is not known"),
-    ]
-    for name, content, said in rows:
-        (tmp_path / name).write_bytes(content)
-        with pytest.raises(InputError, match=rf"(?s){re.escape(name)}: .*{said}"):
-            contents_of(tmp_path / name, settings=limits)
-
-
 def test_a_cut_file_is_refused_or_told_and_never_silently_short(tmp_path, limits, sound):
     for kind, one in sound.items():
         whole, path, refused = one.path.read_bytes(), tmp_path / one.path.name, 0

@@ -9,17 +9,10 @@ from crankorder.ingest.manifest import load_manifest
 from made.recordings import write_table
 
 RATE_HZ = 2560.0
-HEAD = """schema_version = 1
-[test]
-cycle = "none"
-[recordings]
-files = ["a.csv"]
-[sampling]
-rate_hz = 2560.0
-[[channels]]
-name = "Z"
-source = 0
-"""
+HEAD = (
+    'schema_version = 1\n[test]\ncycle = "none"\n[recordings]\nfiles = ["a.csv"]\n'
+    '[sampling]\nrate_hz = 2560.0\n[[channels]]\nname = "Z"\nsource = 0\n'
+)
 
 
 def folder_of(path, channel, *, head, values):

