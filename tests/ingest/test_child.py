@@ -14,6 +14,7 @@ from crankorder.ingest import child
 from crankorder.ingest.child import in_child
 from crankorder.ingest.formats import read_file
 from made.command import crankorder
+from made.recordings import manifest
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 
@@ -77,11 +78,8 @@ def test_i11_a_row_beyond_the_last_of_a_sheet_is_refused_by_the_reader_and_by_ev
     with pytest.raises(UnsafeInputError, match=r"bomb\.xlsx"):
         read_file(tmp_path / "in" / "bomb.xlsx", sources=[0], settings=limits)
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss - before < 1_200_000  # KiB, with this process's own
-    for command in ["init", "check", "run"]:
-        if command != "init":
-            table = '[sampling]\nrate_hz = 1000\n[[channels]]\nname = "a"\nsource = 0\nunit = "1"\n'
-            head = 'schema_version = 1\n[test]\nname = "b"\ncycle = "none"\n[recordings]\nfiles = ["*.xlsx"]\n'
-            (tmp_path / "in" / "run.toml").write_text(head + table, encoding="utf-8")
-        more = ["--out", tmp_path / "out"] if command == "run" else []
+    text = manifest("*.xlsx", cycle="none", channels={"a": {"source": 0, "unit": "1"}}, sampling={"rate_hz": 1000})
+    for command, *more in (("init",), ("check",), ("run", "--out", tmp_path / "out")):
         made = crankorder(command, tmp_path / "in", *more)
+        (tmp_path / "in" / "run.toml").write_text(text, encoding="utf-8")
         assert made.exit_code in (3, 4) and "bomb.xlsx: its parser died" in made.output

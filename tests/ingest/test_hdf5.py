@@ -27,19 +27,6 @@ def test_netcdf_packing_and_fill_values_are_undone(tmp_path, limits):
     np.testing.assert_array_equal(values, [10.5, 11.0, np.nan, 12.0])
 
 
-def test_a_truncated_file_never_yields_a_shorter_recording(tmp_path, limits):
-    for libver in [("earliest", "v108"), ("v110", "v110"), ("latest", "latest")]:
-        for chunks in [None, (500,)]:
-            whole = tmp_path / "whole.h5"
-            with h5py.File(whole, "w", libver=libver) as file:
-                file.create_dataset("a", data=RNG.standard_normal(4000), chunks=chunks)
-            content, cut = whole.read_bytes(), tmp_path / "cut.h5"
-            for length in (0, 1, 8, 40, 100, len(content) // 2, len(content) - 1, *range(2, len(content), 997)):
-                cut.write_bytes(content[:length])
-                with pytest.raises(InputError, match="truncated"):
-                    read_file(cut, sources=["a"], settings=limits)
-
-
 def test_a_file_that_its_writer_never_closed_is_named_and_left_alone(tmp_path, limits):
     path = tmp_path / "open.h5"
     with h5py.File(tmp_path / "written.h5", "w", libver="latest") as file:

@@ -12,7 +12,7 @@ from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.stages import shaft as shaft_stage
 from made.command import crankorder, done
-from made.recordings import write_hdf5, write_table
+from made.recordings import manifest, write_hdf5, write_table
 
 RATE_HZ, LENGTH_S = 4000.0, 4.0
 TIME_S = np.arange(int(RATE_HZ * LENGTH_S)) / RATE_HZ
@@ -98,9 +98,9 @@ def test_a_position_tells_the_angle_with_every_sample(
 )
 def test_a_count_that_is_not_as_stated_is_refused(tmp_path, read_in, position, told):
     path = written(tmp_path, "csv", position, "position", "counts", signal_of(turns_of(15, 33)))
-    head = 'schema_version = 1\n[test]\nname = "a"\ncycle = "rotor"\n[recordings]\nfiles = ["*.csv"]\n[sampling]\n'
-    rest = 'time_source = "time (s)"\n[[channels]]\nname = "acc (m/s2)"\nunit = "m/s2"\n[encoder]\nkind = "count"\n'
-    (tmp_path / "run.toml").write_text(f'{head}{rest}source = "position (counts)"\npulses_per_rev = 1024\n')
+    encoder = {"kind": "count", "source": "position (counts)", "pulses_per_rev": 1024}
+    text = manifest("*.csv", channels={"acc (m/s2)": {}}, sampling={"time_source": "time (s)"}, encoder=encoder)
+    (tmp_path / "run.toml").write_text(text)
     with pytest.raises(InputError, match=told):
         read_in(path)
 

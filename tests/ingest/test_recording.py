@@ -1,10 +1,9 @@
 """One file becomes one Recording: right units, right times, every fault named or flagged."""
 
-import wave
-
 import h5py
 import numpy as np
 import pytest
+from scipy.io import wavfile
 
 from crankorder.errors import InputError
 from crankorder.quantities import check_dataset, flags_of
@@ -306,9 +305,7 @@ def test_a_clock_at_a_billion_seconds_leaves_times_from_the_first_sample_on(writ
 
 def test_a_sensitivity_needs_the_volts_at_full_scale_of_a_wav(tmp_path, read):
     samples = np.round(8192 * np.sin(2 * np.pi * 5 * TIME)).astype("<i2")
-    with wave.open(str(tmp_path / "a.wav"), "wb") as file:
-        file.setnchannels(1), file.setsampwidth(2), file.setframerate(10_000)
-        file.writeframes(samples.tobytes())
+    wavfile.write(tmp_path / "a.wav", 10_000, samples)
     table = '[[channels]]\nname = "Z"\nsource = 0\nunit = "m/s2"\nsensitivity = "100 mV/g"\n'
     with pytest.raises(InputError, match=r"fractions of full scale, for which the sensitivity '100 mV/g' does not do"):
         read(tmp_path / "a.wav", table)

@@ -130,16 +130,9 @@ def book(tmp_path):
     return build
 
 
-@pytest.mark.slow
-def test_empty_rows_below_the_data_are_no_samples(book, limits):
-    path = book(("a", "b"), (1, 2), (None, None), (3, 4))
-    with pytest.raises(InputError, match=r"row 3, column 0 \(a\): an empty cell"):
-        read_file(path, sources=["a"], settings=limits)
+def test_a_cell_that_is_no_number_is_named_and_empty_rows_below_are_no_samples(book, limits):
     path = book(("a", "b"), (1, 2), (3, 4), (None, None), (None, None))
     assert read_file(path, sources=["a"], settings=limits).columns["a"].size == 2
-
-
-def test_a_cell_that_is_no_number_is_named(book, limits):
     for cell in ["OVER", True, None]:
         path = book(("a", "b"), (1, 2), (3, cell), (5, 6))
         with pytest.raises(InputError, match=r"row 3, column 1 \(b\): (not a number|an empty cell)"):

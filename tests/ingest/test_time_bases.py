@@ -13,7 +13,7 @@ from crankorder.ingest.recording import read_parts, read_recording
 from crankorder.quantities import flags_of
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
-from made.command import analysed, crankorder, done
+from made.command import analysed, crankorder
 from made.recordings import manifest, write_hdf5, write_table
 from made.time_bases import WRITERS, Sampled, as_hdf5, as_lvm_of_one_segment, as_tdms
 
@@ -198,16 +198,14 @@ def test_parts_of_a_file_of_several_rates_are_the_whole_of_it(tmp_path, settings
 # Recordings in pieces: a logger that stops for a while and says so, and buffers joined with turns lost between.
 
 
-def pieces_in(folder, **sampling):
-    """The manifest of recordings in pieces in ``folder``."""
+def in_pieces(folder, suffix, sampling, signal, tacho, **more):
+    """``folder`` with a recording of ``signal``, ``tacho`` and columns ``more``, and its manifest."""
+    folder.mkdir(exist_ok=True)
+    columns = more | {"k": signal, "tacho": tacho}
+    (write_hdf5 if suffix == "h5" else partial(write_table, fmt="%.6f"))(folder / f"a.{suffix}", columns)
     encoder = {"kind": "square", "source": "tacho", "pulses_per_rev": 1}
     text = manifest("a.*", name="pieces", channels={"k": {"source": "k"}}, sampling=sampling, encoder=encoder)
     (folder / "run.toml").write_text(text)
-
-
-def written(folder, suffix, **columns):
-    folder.mkdir(exist_ok=True)
-    (write_hdf5 if suffix == "h5" else partial(write_table, fmt="%.6f"))(folder / f"a.{suffix}", columns)
     return folder
 
 
@@ -237,8 +235,7 @@ def polled(seed):
 def test_stretches_shorter_than_a_frame_are_refused_with_the_frames_that_would_do(tmp_path):
     times = np.arange(20_000)[np.arange(20_000) % 600 < 540] / 1000.0
     signal, tacho = turning(25.0 * times, 1)
-    folder = written(tmp_path / "in", "csv", time_s=times, k=signal, tacho=tacho)
-    pieces_in(folder, time_source="time_s")
+    folder = in_pieces(tmp_path / "in", "csv", {"time_source": "time_s"}, signal, tacho, time_s=times)
     refused = crankorder("run", folder, "--out", tmp_path / "out")
     assert refused.exit_code == 4, refused.output
     assert "revs_per_frame = 6" in refused.output and "13.5 between gaps" in refused.output
@@ -247,8 +244,7 @@ def test_stretches_shorter_than_a_frame_are_refused_with_the_frames_that_would_d
 def test_stretches_between_gaps_of_parts_of_a_sample_come_at_their_true_times(tmp_path):
     times, rpm = polled(3)
     signal, tacho = turning(rpm / 60.0 * times, 3)
-    folder = written(tmp_path / "in", "csv", time_s=times, k=signal, tacho=tacho)
-    pieces_in(folder, time_source="time_s")
+    folder = in_pieces(tmp_path / "in", "csv", {"time_source": "time_s"}, signal, tacho, time_s=times)
     found = analysed(folder, tmp_path / "out", "--no-pictures")
     assert seen(found) == pytest.approx({1: 1.0, 2: 0.5, 2.5: 0.4}, rel=0.015)
     assert found["orders"][0]["speed_rpm_at_max"] == pytest.approx(rpm, rel=1e-3)
@@ -258,9 +254,8 @@ def test_stretches_between_gaps_of_parts_of_a_sample_come_at_their_true_times(tm
 def test_a_draft_takes_times_with_gaps_for_times_and_no_wheel_from_them(tmp_path):
     times, rpm = polled(5)
     signal, tacho = turning(rpm / 60.0 * times, 5)
-    folder = written(tmp_path / "in", "csv", **{"time_s": times, "acc (m/s2)": signal, "tacho (V)": tacho})
-    done("init", folder, "--save")
-    draft = (folder / "run.toml").read_text()
+    columns = {"time_s": times, "acc (m/s2)": signal, "tacho (V)": tacho}
+    draft = draft_manifest(write_table(tmp_path / "a.csv", columns, fmt="%.6f").parent)
     assert 'time_source = "time_s"' in draft and 'source = "acc (m/s2)"' in draft and 'kind = "square"' in draft
     assert not any(line.startswith(("pulses_per_rev", "pattern", "tooth_angles")) for line in draft.splitlines())
 
@@ -276,8 +271,7 @@ def turns_of_buffers(seed, blocks):
 @pytest.mark.parametrize(("suffix", "blocks"), [("csv", 2), ("h5", 6)])
 def test_buffers_that_were_joined_are_told_by_shaft_and_channel_and_made_whole(tmp_path, read_in, suffix, blocks):
     signal, tacho = turning(turns_of_buffers(2, blocks), 2)
-    folder = written(tmp_path / "in", suffix, k=signal, tacho=tacho)
-    pieces_in(folder, rate_hz=2560.0)
+    folder = in_pieces(tmp_path / "in", suffix, {"rate_hz": 2560.0}, signal, tacho)
     found = analysed(folder, tmp_path / "out", "--no-pictures")
     amplitudes = seen(found)
     # which of two turns goes on behind a break is not known
@@ -306,6 +300,5 @@ def test_what_shaft_or_channel_shows_alone_is_no_break(tmp_path, read_in, fault)
         signal[at : at + 200] += 4.0 * np.exp(-np.arange(200) / 30.0) * rng.standard_normal(200)
     if fault == "tacho alone":
         tacho = np.append(tacho[: at + 60], tacho[at + 20 : -40])
-    folder = written(tmp_path, "h5", k=signal, tacho=tacho)
-    pieces_in(folder, rate_hz=2560.0)
+    folder = in_pieces(tmp_path, "h5", {"rate_hz": 2560.0}, signal, tacho)
     assert "buffers_joined" not in {one["flag"] for one in flags_of(read_in(folder / "a.h5"))}

@@ -5,45 +5,18 @@ import pytest
 
 from crankorder.errors import InputError
 from crankorder.ingest.formats import contents_of, read_file
-
-STEP_S = 3.90625e-4  # 2560 Hz, exact in six digits
-
-
-def header(name, n, *, form=2, function=1, node=3, spacing=1, time="s"):
-    axis = 17 if function == 1 or not spacing else 18
-    return "\n".join(
-        [
-            name, "NONE", "01-Jan-26 00:00:00", "NONE", "NONE",
-            f"{function:5d}{1:10d}{0:5d}{0:10d} {'NONE':10s}{node:10d}{-2:4d} {'NONE':10s}{0:10d}{0:4d}",
-            f"{form:10d}{n:10d}{spacing:10d}{0.5:13.5E}{STEP_S:13.5E}{0.0:13.5E}",
-            f"{axis:10d}{0:5d}{0:5d}{0:5d} {'Time':20s} {time:20s}",
-            f"{12:10d}{0:5d}{0:5d}{0:5d} {'Acceleration':20s} {'m/s^2':20s}",
-            f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}",
-            f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}", "",
-        ]
-    )  # fmt: skip
-
-
-def text_set(head, cells, per_line):
-    """Data set of the ``cells`` of a text, so many on each line; the last line is padded."""
-    rows = ["".join(cells[first : first + per_line]) for first in range(0, len(cells), per_line)]
-    body = "\n".join(rows)
-    return f"    -1\n    58\n{head}{body.ljust(80)}\n    -1\n".encode()
-
-
-def binary_set(head, data, order):
-    first = f"    58b{order:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
-    return f"    -1\n{first}{head}".encode() + data + b"\n    -1\n"
+from made.time_bases import uff_binary, uff_header, uff_text
 
 
 def as_text(name, values, *, form=2, **more):
     written, per_line = ("13.5E", 6) if form == 2 else ("20.12E", 4)
-    return text_set(header(name, len(values), form=form, **more), [f"{value:{written}}" for value in values], per_line)
+    head = uff_header(name, len(values), form=form, **more)
+    return uff_text(head, [f"{value:{written}}" for value in values], per_line)
 
 
 def as_binary(name, values, *, form=2, order=1):
     data = values.astype(("<" if order == 1 else ">") + ("f4" if form == 2 else "f8")).tobytes()
-    return binary_set(header(name, len(values), form=form), data, order)
+    return uff_binary(uff_header(name, len(values), form=form), data, order)
 
 
 @pytest.fixture
@@ -91,14 +64,14 @@ PAIRS = [
 def paired(form, times, values, time="s"):
     """A general function (type 0) with the time of each sample before it, in text or binary, as ``PAIRS`` has it."""
     first, second, number = form
-    text = header("one", len(values), form=2 if second in ("13.5E", "f4") else 4, function=0, spacing=0, time=time)
+    text = uff_header("one", len(values), form=2 if second in ("13.5E", "f4") else 4, function=0, spacing=0, time=time)
     if first in ("f4", "f8"):
         sign = "<" if number == 1 else ">"
         points = np.empty(len(times), dtype=[("time", sign + first), ("value", sign + second)])
         points["time"], points["value"] = times, values
-        return binary_set(text, points.tobytes(), number)
+        return uff_binary(text, points.tobytes(), number)
     cells = [f"{at:{first}}{value:{second}}" for at, value in zip(times, values, strict=True)]
-    return text_set(text, cells, number)
+    return uff_text(text, cells, number)
 
 
 @pytest.mark.parametrize("form", PAIRS)
