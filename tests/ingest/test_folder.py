@@ -1,5 +1,6 @@
 """A folder yields the recordings that the manifest names, and nothing outside it is ever touched."""
 
+import json
 import os
 import socket
 from pathlib import Path
@@ -18,8 +19,7 @@ CHANNEL = '[[channels]]\nname = "a"\nunit = "V"\n'
 @pytest.fixture
 def found_in(manifest_of):
     def find(folder, *files):
-        names = "[" + ", ".join("'" + name + "'" if "\0" not in name else '"a\\u0000b"' for name in files) + "]"
-        return recordings_of(folder, manifest_of(CHANNEL, HEAD.format(names)))
+        return recordings_of(folder, manifest_of(CHANNEL, HEAD.format(json.dumps(files))))
 
     return find
 

@@ -31,9 +31,8 @@ def test_all_channels_are_those_of_the_formats_own_library(path, limits):
                 np.testing.assert_array_equal(raw.columns[name], values)
                 assert told.samples[name] == values.size
                 if values.size > 2:
-                    assert raw.rates_hz[name] == pytest.approx(
-                        1e6 * (values.size - 1) / (times[-1] - times[0]), rel=1e-9
-                    )
+                    rate_hz = 1e6 * (values.size - 1) / (times[-1] - times[0])
+                    assert raw.rates_hz[name] == pytest.approx(rate_hz, rel=1e-9)
                     assert raw.starts_s[name] == pytest.approx(1e-6 * times[0])
         assert number == len(told.names) > 10
 

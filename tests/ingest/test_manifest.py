@@ -62,12 +62,7 @@ def test_the_manifest_of_the_design_is_read(tmp_path):
     assert manifest.bearings[0].ball_over_pitch == 0.2
     assert manifest.speed_of(tmp_path / "rpm_300.h5") == 300.0
     assert manifest.speed_of(tmp_path / "rpm_400.h5") is None
-
-
-def test_a_manifest_may_live_elsewhere(tmp_path):
-    path = tmp_path / "other.toml"
-    path.write_text(GOOD, encoding="utf-8")
-    assert load_manifest(tmp_path / "data", path).test.engine == "msu-optical-second"
+    assert load_manifest(tmp_path / "data", tmp_path / "run.toml").test == manifest.test  # it may live elsewhere
 
 
 def test_a_missing_manifest_names_the_command_that_drafts_one(tmp_path):
@@ -163,7 +158,7 @@ def test_the_schema_file_is_that_of_the_model():
     assert json.dumps(schema_of("manifest"), sort_keys=True) == json.dumps(schema, sort_keys=True)
 
 
-# Transfer paths and added masses of a manifest are checked, and their tables read.
+# Transfer paths, added masses and the motor of a manifest are checked, and their tables read.
 
 
 PATH = '[[transfer_paths]]\nchannel = "Z"\ndirection = "Z"\n'
@@ -176,8 +171,10 @@ def faults(folder, text):
     return str(caught.value)
 
 
-def test_paths_and_masses_are_read(tmp_path):
+def test_paths_masses_and_a_motor_are_read(tmp_path):
+    assert read_manifest(tmp_path, "").motor is None
     text = RIGID + (
+        "[motor]\nsupply_hz = 50.0\npoles = 4\nrotor_bars = 44\n"
         "[[added_masses]]\nmass_g = 20.0\nradius_mm = 50.0\nangle_deg = 90.0\n"
         '[[added_masses]]\nmass_g = 116\non = "piston"\n'
     )
@@ -185,6 +182,8 @@ def test_paths_and_masses_are_read(tmp_path):
     (path,) = manifest.transfer_paths
     assert (path.apparent_mass_kg, path.frequency_range_hz, path.uncertainty_percent) == (330.0, (5.0, 50.0), 5.0)
     assert [mass.on for mass in manifest.added_masses] == ["crank", "piston"]
+    motor = manifest.motor
+    assert (motor.supply_hz, motor.poles, motor.rotor_bars, motor.shaft_ratio) == (50.0, 4, 44, 1)
 
 
 def test_a_table_is_read_from_beside_the_manifest(tmp_path):
@@ -194,25 +193,21 @@ def test_a_table_is_read_from_beside_the_manifest(tmp_path):
     assert path.holds_hz == (5.0, 50.0)
 
 
-def test_a_table_with_a_fault_is_refused_by_name(tmp_path):
+def test_a_table_elsewhere_or_with_a_fault_is_refused_by_name(tmp_path):
     rows = [
         ("f,r,i\n1,2,3\n", "frequency_hz, real, imag"), ("", "wrong columns"),
         ("frequency_hz,real,imag\n1,2\n3,4,5\n", "line 2"),
         ("frequency_hz,real,imag\n1,2,3\n", "two or more rows"),
         ("frequency_hz,real,imag\n2,2,3\n1,2,3\n", "ascending"), ("frequency_hz,real,imag\n1,nan,3\n2,2,3\n", "finite"),
     ]  # fmt: skip
+    (tmp_path / "run").mkdir()
+    (tmp_path / "outside.csv").write_text("frequency_hz,real,imag\n1,1,1\n2,1,1\n", encoding="utf-8")
+    for name in ["missing.csv", "../outside.csv", "/etc/passwd", "a\\u0000b"]:
+        assert "transfer_paths.0.table" in faults(tmp_path / "run", PATH + f'table = "{name}"\n')
     for text, words in rows:
         (tmp_path / "z.csv").write_text(text, encoding="utf-8")
         message = faults(tmp_path, PATH + 'table = "z.csv"\n')
         assert words in message and "z.csv" in message and "transfer_paths.0.table" in message
-
-
-def test_a_table_elsewhere_is_refused(tmp_path):
-    folder = tmp_path / "run"
-    folder.mkdir()
-    (tmp_path / "outside.csv").write_text("frequency_hz,real,imag\n1,1,1\n2,1,1\n", encoding="utf-8")
-    for name in ["missing.csv", "../outside.csv", "/etc/passwd", "a\\u0000b"]:
-        assert "transfer_paths.0.table" in faults(folder, PATH + f'table = "{name}"\n')
 
 
 def test_what_is_wrong_is_said_with_its_key(tmp_path):
@@ -238,12 +233,3 @@ def test_what_is_wrong_is_said_with_its_key(tmp_path):
         message = faults(tmp_path, text)
         assert words in message and "run.toml:" in message
         assert any(table in message for table in ("motor", "transfer_paths", "added_masses"))
-
-
-# The motor of a manifest is checked, and its lines stand where supply, poles and speed put them.
-
-
-def test_a_motor_is_read(tmp_path):
-    motor = read_manifest(tmp_path, "[motor]\nsupply_hz = 50.0\npoles = 4\nrotor_bars = 44\n").motor
-    assert motor is not None and (motor.supply_hz, motor.poles, motor.rotor_bars, motor.shaft_ratio) == (50.0, 4, 44, 1)
-    assert read_manifest(tmp_path, "").motor is None

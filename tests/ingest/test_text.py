@@ -93,17 +93,12 @@ def test_names_that_repeat_nan_a_last_separator_and_other_encodings_do_no_harm(r
             np.testing.assert_array_equal(values, columns[name])
 
 
-def test_a_cut_inside_a_line_is_refused_and_one_inside_the_last_number_is_flagged(tmp_path, limits):
+def test_a_cut_inside_a_line_is_refused_and_one_inside_the_last_number_is_flagged(read):
     text = "".join(f"{k * 1e-5:.6E}\t{np.sin(k):.6E}\t{np.cos(k):.6E}\n" for k in range(400))
-    path = tmp_path / "a.txt"
-    line = len(text) // 2
-    cut = text.index("\n", line) + 20
-    path.write_text(text[:cut])
     with pytest.raises(InputError, match=r"cells where the lines above have 3; the file seems to be truncated"):
-        read_file(path, sources=[0], settings=limits)
+        read(text[: text.index("\n", len(text) // 2) + 20], 0)
     for less, severity in ((6, "suspect"), (1, "info")):
-        path.write_text(text[:-less])
-        (flag,) = read_file(path, sources=[0], settings=limits).flags
+        (flag,) = read(text[:-less], 0).flags
         assert (flag["flag"], flag["severity"]) == ("last_line_open", severity)
 
 
