@@ -28,11 +28,11 @@ def test_netcdf_packing_and_fill_values_are_undone(tmp_path, limits):
 
 
 def test_a_file_that_its_writer_never_closed_is_named_and_left_alone(tmp_path, limits):
-    path = tmp_path / "open.h5"
-    with h5py.File(tmp_path / "written.h5", "w", libver="latest") as file:
+    path, written = tmp_path / "open.h5", tmp_path / "written.h5"
+    with h5py.File(written, "w", libver="latest") as file:
         file["a"] = np.zeros(10)
         file.flush()
-        content = (tmp_path / "written.h5").read_bytes()
+        content = written.read_bytes()
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"was not closed by its writer.*h5clear --status"):
         read_file(path, sources=["a"], settings=limits)

@@ -261,14 +261,6 @@ def test_a_stated_speed_goes_with_its_recording(write, read):
     assert np.isnan(read(write(acc=TIME)).attrs["speed_rpm"])
 
 
-def test_samples_by_crank_angle_have_no_time(write, read):
-    tables = '[sampling]\ndomain = "crank_angle"\nsamples_per_rev = 360\nstart_deg = -180.0\n' + CHANNEL
-    recording = read(write(rate=None, acc=np.arange(720.0)), tables)
-    assert recording["signal"].dims == ("channel", "crank_angle")
-    assert (recording.attrs["samples_per_rev"], recording.attrs["start_deg"]) == (360, -180.0)
-    assert "rate_hz" not in recording.attrs
-
-
 def test_a_silent_index_or_cam_is_flagged_and_the_rest_is_read(write, read):
     for role, flag in [("index", "no_index"), ("cam", "no_cam")]:
         for level in [0.0, 4.9, np.nan]:
