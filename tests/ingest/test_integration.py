@@ -43,12 +43,10 @@ def test_a_signal_is_integrated_from_what_the_file_or_the_sensor_states_once_or_
 
 
 def test_what_is_not_asked_for_by_name_is_not_integrated(tmp_path):
-    folder = folder_of(tmp_path, 'unit = "mm/s"\nsensitivity = "100 mV/g"', head="acc", values=tone(40.0))
-    with pytest.raises(ManyErrors, match="acceleration"):
-        load_manifest(folder)
-    folder = folder_of(tmp_path, 'unit = "g"\nquantity = "velocity"', head="acc", values=tone(40.0))
-    with pytest.raises(ManyErrors, match="unit of the result"):
-        load_manifest(folder)
+    rows = [('"mm/s"\nsensitivity = "100 mV/g"', "acceleration"), ('"g"\nquantity = "velocity"', "unit of the result")]
+    for channel, words in rows:
+        with pytest.raises(ManyErrors, match=words):
+            load_manifest(folder_of(tmp_path, f"unit = {channel}", head="acc", values=tone(40.0)))
 
 
 def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path):
