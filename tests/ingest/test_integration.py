@@ -40,6 +40,8 @@ def test_a_signal_is_integrated_from_what_the_file_or_the_sensor_states_once_or_
         assert np.isnan(signal[0])
         assert "high-pass" in made.attrs["quality"]
         assert made["quantity"].item() in channel
+    folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
+    assert "highpass_unused" in read_in(folder / "a.csv").attrs["quality"]  # of what is not integrated
 
 
 def test_what_is_not_asked_for_by_name_is_not_integrated(tmp_path):
@@ -104,9 +106,3 @@ def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path):
         assert said in str(fault)
         assert "a.csv" in str(fault)
         assert "_hz" in fault.place
-
-
-@pytest.mark.slow
-def test_a_high_pass_that_does_nothing_is_told(tmp_path, read_in):
-    folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
-    assert "highpass_unused" in read_in(folder / "a.csv").attrs["quality"]
