@@ -6,21 +6,13 @@ import pytest
 from crankorder.batch.look import look_at
 from crankorder.errors import ManyErrors
 from crankorder.ingest.manifest import load_manifest
-from made.command import analysed
-from made.recordings import manifest, write_hdf5, write_table
+from made.recordings import write_table
 
 RATE_HZ = 2560.0
-HEAD = """schema_version = 1
-[test]
-cycle = "none"
-[recordings]
-files = ["a.csv"]
-[sampling]
-rate_hz = 2560.0
-[[channels]]
-name = "Z"
-source = 0
-"""
+HEAD = (
+    'schema_version = 1\n[test]\ncycle = "none"\n[recordings]\nfiles = ["a.csv"]\n'
+    '[sampling]\nrate_hz = 2560.0\n[[channels]]\nname = "Z"\nsource = 0\n'
+)
 
 
 def folder_of(path, channel, *, head, values):
@@ -33,36 +25,30 @@ def tone(hertz):
     return 3.0 * np.cos(2 * np.pi * hertz * np.arange(int(20 * RATE_HZ)) / RATE_HZ)  # type: ignore[no-any-return]
 
 
-def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(tmp_path, read_in):
+def test_a_signal_is_integrated_from_what_the_file_or_the_sensor_states_once_or_twice(tmp_path, read_in):
+    velocity, displacement = 'unit = "mm/s"\nquantity = "velocity"\n', 'unit = "um"\nquantity = "displacement"\n'
     rows = [
-        ('unit = "mm/s"\nquantity = "velocity"\nsensitivity = "100 mV/g"', "acc (mV)", 9.80665e-2),
-        ('unit = "mm/s"\nquantity = "velocity"\nmeasured_unit = "g"', "acc", 9.80665),
-        ('unit = "mm/s"\nquantity = "velocity"', "acc (m/s2)", 1.0),
-        ('unit = "mm/s"\nquantity = "velocity"\nhighpass_hz = 10.0', "acc (g)", 9.80665),
-    ]
+        (velocity + 'sensitivity = "100 mV/g"', "acc (mV)", 9.80665e-2),
+        (velocity + 'measured_unit = "g"', "acc", 9.80665), (velocity, "acc (m/s2)", 1.0),
+        (velocity + "highpass_hz = 10.0", "acc (g)", 9.80665),
+        (displacement, "acc (m/s2)", 1e3 / (2 * np.pi * 40.0)), (displacement, "v (m/s)", 1e3),
+    ]  # fmt: skip
     for channel, head, factor in rows:
         made = read_in(folder_of(tmp_path, channel, head=head, values=tone(40.0)) / "a.csv")
         signal = made["signal"].values[0]
         assert np.sqrt(2.0) * np.nanstd(signal) == pytest.approx(3.0e3 * factor / (2 * np.pi * 40.0), rel=1e-3)
         assert np.isnan(signal[0])
         assert "high-pass" in made.attrs["quality"]
-        assert made["quantity"].values.tolist() == ["velocity"]
-
-
-def test_a_displacement_is_integrated_twice_and_a_velocity_sensor_once(tmp_path, read_in):
-    for head, turning in (("a (m/s2)", (2 * np.pi * 40.0) ** 2), ("v (m/s)", 2 * np.pi * 40.0)):
-        folder = folder_of(tmp_path, 'unit = "um"\nquantity = "displacement"', head=head, values=tone(40.0))
-        made = read_in(folder / "a.csv")
-        assert np.sqrt(2.0) * np.nanstd(made["signal"].values[0]) == pytest.approx(3e6 / turning, rel=1e-3)
+        assert made["quantity"].item() in channel
+    folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
+    assert "highpass_unused" in read_in(folder / "a.csv").attrs["quality"]  # of what is not integrated
 
 
 def test_what_is_not_asked_for_by_name_is_not_integrated(tmp_path):
-    folder = folder_of(tmp_path, 'unit = "mm/s"\nsensitivity = "100 mV/g"', head="acc", values=tone(40.0))
-    with pytest.raises(ManyErrors, match="acceleration"):
-        load_manifest(folder)
-    folder = folder_of(tmp_path, 'unit = "g"\nquantity = "velocity"', head="acc", values=tone(40.0))
-    with pytest.raises(ManyErrors, match="unit of the result"):
-        load_manifest(folder)
+    rows = [('"mm/s"\nsensitivity = "100 mV/g"', "acceleration"), ('"g"\nquantity = "velocity"', "unit of the result")]
+    for channel, words in rows:
+        with pytest.raises(ManyErrors, match=words):
+            load_manifest(folder_of(tmp_path, f"unit = {channel}", head="acc", values=tone(40.0)))
 
 
 def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path):
@@ -74,11 +60,9 @@ def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path):
         ('quantity = "velocity"\nvalue = "4.5 mm/s"', "source"),
         ('quantity = "velocity"\nvalue = "4.5 mm/s"\nsource = " "', "says nothing"),
         ('quantity = "velocity"\nvalue = "4.5 mm/s"\nsource = "x"\nchannels = []', "names no channel"),
-        ('quantity = "velocity"\nvalue = "4.5"\nsource = "x"', r'without its unit; found .*4.5.*as in "4.5 mm/s"'),
         ('quantity = "velocity"\nvalue = 4.5\nsource = "x"', r'without its unit; found .*4.5.*as in "4.5 mm/s"'),
         ('quantity = "displacement"\nvalue = 60\nsource = "x"', r'without its unit.*as in "60 µm"'),
         ('quantity = "velocity"\nvalue = "G 6.3"\nsource = "x"', r'not a number with a unit.*"4.5 mm/s"'),
-        ('quantity = "velocity"\nvalue = nan\nsource = "x"', "not a number with a unit"),
         ('quantity = "velocity"\nvalue = "-2 mm/s"\nsource = "x"', "above 0"),
         ('quantity = "velocity"\nvalue = "2 mm/s"\nsource = "x"\nband_hz = [900.0, 3000.0]', "up to 1280 Hz"),
     ]
@@ -90,19 +74,14 @@ def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path):
 
 
 def test_a_band_is_wide_enough_for_a_level_or_refused_with_what_is_allowed(tmp_path):
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        low = float(rng.uniform(5.0, 400.0))
-        for ratio, wide in ((1.0 + 10.0 ** rng.uniform(-7.0, -0.7), False), (rng.uniform(1.26, 2.9), True)):
-            limit = (
-                f'quantity = "velocity"\nvalue = "1 mm/s"\nsource = "x"\nband_hz = [{low!r}, {low * float(ratio)!r}]'
-            )
-            folder = folder_of(tmp_path, f'unit = "m/s2"\n[[limits]]\n{limit}', head="acc", values=np.zeros(5))
-            if wide:
-                assert load_manifest(folder).limits[0].band_hz[0] == low
-                continue
-            with pytest.raises(ManyErrors, match=r"too narrow.*allowed: a high end of .* Hz or more.*Widen it"):
-                load_manifest(folder)
+    for low, high in ((7.0, 7.000001), (40.0, 47.5), (7.0, 8.9), (380.0, 1100.0)):
+        limit = f'quantity = "velocity"\nvalue = "1 mm/s"\nsource = "x"\nband_hz = [{low}, {high}]'
+        folder = folder_of(tmp_path, f'unit = "m/s2"\n[[limits]]\n{limit}', head="acc", values=np.zeros(5))
+        if high / low > 1.26:
+            assert load_manifest(folder).limits[0].band_hz[0] == low
+            continue
+        with pytest.raises(ManyErrors, match=r"too narrow.*allowed: a high end of .* Hz or more.*Widen it"):
+            load_manifest(folder)
 
 
 def test_a_balance_grade_is_read_as_it_is_written(tmp_path):
@@ -127,28 +106,3 @@ def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path):
         assert said in str(fault)
         assert "a.csv" in str(fault)
         assert "_hz" in fault.place
-
-
-@pytest.mark.slow
-def test_a_high_pass_that_does_nothing_is_told(tmp_path, read_in):
-    folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
-    assert "highpass_unused" in read_in(folder / "a.csv").attrs["quality"]
-
-
-def test_a_recording_without_encoder_gives_its_orders(tmp_path):
-    """Speed and amplitudes are those that were put in; the phase has no reference and says so."""
-    (tmp_path / "in").mkdir()
-    encoder = 'kind = "vibration"\nexpected_rpm = [800.0, 3000.0]'
-    (tmp_path / "in" / "run.toml").write_text(f"{manifest()}[encoder]\n{encoder}")
-    time_s = np.arange(8 * 4096) / 4096.0
-    put_in = {1.0: 1.0, 2.0: 0.7, 3.0: 0.5}
-    turning = sum(size * np.cos(2 * np.pi * order * 25.0 * time_s) for order, size in put_in.items())
-    noise = 0.1 * np.random.default_rng(1).standard_normal(time_s.size)
-    write_hdf5(tmp_path / "in" / "a.h5", {"Z": turning + noise}, rate_hz=4096.0)
-    findings = analysed(tmp_path / "in", tmp_path / "out", "--no-pictures")
-    assert findings["speed_range_rpm"] == pytest.approx([1500.0, 1500.0], rel=1e-3)
-    found = {round(record["order"], 1): record for record in findings["orders"]}
-    for order, size in put_in.items():
-        assert found[order]["amplitude"] == pytest.approx(size, rel=0.02)
-        assert found[order]["phase_deg"] is None
-    assert "no_index" in {flag["flag"] for flag in findings["quality"]}

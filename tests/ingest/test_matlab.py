@@ -51,13 +51,8 @@ def test_a_number_beside_the_samples_states_the_rate_unless_two_contradict(saved
     for beside, rate_hz in rows:
         path = saved(x=np.arange(100.0), **beside)
         assert read_file(path, sources=["x"], settings=limits).rates_hz.get("x") == rate_hz
-
-
-@pytest.mark.slow
-def test_the_rate_of_its_own_struct_goes_before_that_of_the_file(saved, limits):
     path = saved(x=np.arange(9.0), fs=100.0, other={"x": np.arange(9.0), "fs": 200.0})
-    rates = contents_of(path, settings=limits).rates_hz
-    assert (rates["x"], rates["other.x"]) == (100.0, 200.0)
+    assert contents_of(path, settings=limits).rates_hz.items() >= {"x": 100.0, "other.x": 200.0}.items()
 
 
 @pytest.mark.slow

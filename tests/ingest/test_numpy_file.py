@@ -48,14 +48,11 @@ def test_python_objects_are_refused_and_never_made(saved, tmp_path, limits):
 def test_what_a_header_claims_is_checked_before_it_is_believed(tmp_path, limits):
     rows = [
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (4611686018427387904, 2)}", "is damaged or truncated"),
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (1099511627776,)}", "is damaged or truncated"),
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (1000,)}", "is damaged or truncated; found mmap length"),
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (-4,)}", "is damaged or truncated"),
         ("{'descr': '<c16', 'fortran_order': False, 'shape': (4,)}", "holds no real numbers; found complex128"),
-        ("{'descr': '<U2', 'fortran_order': False, 'shape': (4,)}", "holds no real numbers"),
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (2, 2, 2)}", r"is no array of signals; found shape"),
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (0,)}", "is no array of signals"),
-        ("{'descr': '|V0', 'fortran_order': False, 'shape': (4,)}", "holds no real numbers"),
         ("{'descr': '<f8', 'shape': (4,)}", "is damaged or truncated"),
         ("__import__('os').system('touch canary')", "is damaged or truncated"),
         ("(" * 100, "is damaged or truncated"),

@@ -5,38 +5,18 @@ import pytest
 
 from crankorder.errors import InputError
 from crankorder.ingest.formats import contents_of, read_file
-
-STEP_S = 3.90625e-4  # 2560 Hz, exact in six digits
-
-
-def header(name, n, *, form=2, function=1, node=3, spacing=1, time="s"):
-    axis = 17 if function == 1 or not spacing else 18
-    return "\n".join(
-        [
-            name, "NONE", "01-Jan-26 00:00:00", "NONE", "NONE",
-            f"{function:5d}{1:10d}{0:5d}{0:10d} {'NONE':10s}{node:10d}{-2:4d} {'NONE':10s}{0:10d}{0:4d}",
-            f"{form:10d}{n:10d}{spacing:10d}{0.5:13.5E}{STEP_S:13.5E}{0.0:13.5E}",
-            f"{axis:10d}{0:5d}{0:5d}{0:5d} {'Time':20s} {time:20s}",
-            f"{12:10d}{0:5d}{0:5d}{0:5d} {'Acceleration':20s} {'m/s^2':20s}",
-            f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}",
-            f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}", "",
-        ]
-    )  # fmt: skip
+from made.time_bases import uff_binary, uff_header, uff_text
 
 
 def as_text(name, values, *, form=2, **more):
-    width, per_line, written = (13, 6, "13.5E") if form == 2 else (20, 4, "20.12E")
-    cells = [f"{value:{written}}" for value in values]
-    assert all(len(cell) == width for cell in cells)
-    rows = ["".join(cells[first : first + per_line]) for first in range(0, len(cells), per_line)]
-    body = header(name, len(values), form=form, **more) + "\n".join(rows)  # type: ignore[arg-type]
-    return f"    -1\n    58\n{body}\n    -1\n".encode()
+    written, per_line = ("13.5E", 6) if form == 2 else ("20.12E", 4)
+    head = uff_header(name, len(values), form=form, **more)
+    return uff_text(head, [f"{value:{written}}" for value in values], per_line)
 
 
-def as_binary(name, values, *, form=2, order=1, **more):
+def as_binary(name, values, *, form=2, order=1):
     data = values.astype(("<" if order == 1 else ">") + ("f4" if form == 2 else "f8")).tobytes()
-    first = f"    58b{order:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
-    return f"    -1\n{first}{header(name, len(values), form=form, **more)}".encode() + data + b"\n    -1\n"  # type: ignore[arg-type]
+    return uff_binary(uff_header(name, len(values), form=form), data, order)
 
 
 @pytest.fixture
@@ -84,16 +64,14 @@ PAIRS = [
 def paired(form, times, values, time="s"):
     """A general function (type 0) with the time of each sample before it, in text or binary, as ``PAIRS`` has it."""
     first, second, number = form
-    text = header("one", len(values), form=2 if second in ("13.5E", "f4") else 4, function=0, spacing=0, time=time)
+    text = uff_header("one", len(values), form=2 if second in ("13.5E", "f4") else 4, function=0, spacing=0, time=time)
     if first in ("f4", "f8"):
         sign = "<" if number == 1 else ">"
         points = np.empty(len(times), dtype=[("time", sign + first), ("value", sign + second)])
         points["time"], points["value"] = times, values
-        head = f"    58b{number:6d}{2:6d}{11:12d}{points.nbytes:12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
-        return f"    -1\n{head}{text}".encode() + points.tobytes() + b"\n    -1\n"
+        return uff_binary(text, points.tobytes(), number)
     cells = [f"{at:{first}}{value:{second}}" for at, value in zip(times, values, strict=True)]
-    rows = ["".join(cells[start : start + number]) for start in range(0, len(cells), number)]
-    return f"    -1\n    58\n{text}{chr(10).join(rows).ljust(80)}\n    -1\n".encode()  # the last line is padded
+    return uff_text(text, cells, number)
 
 
 @pytest.mark.parametrize("form", PAIRS)
@@ -141,10 +119,6 @@ def test_damage_is_named(read):
         assert old in data
         with pytest.raises(InputError, match=words):
             read(data.replace(old, new, 1).encode())
-
-
-@pytest.mark.slow
-def test_binary_numbers_of_another_machine_are_refused(read):
     data = as_binary("one", np.ones(7))
     with pytest.raises(InputError, match="of a kind that is not read"):
         read(data.replace(b"     1     2          11", b"     1     3          11"))

@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from scipy.io import wavfile
 
 from crankorder.errors import InputError, UnsafeInputError
 from crankorder.ingest.formats import contents_of, read_file
@@ -50,7 +51,7 @@ LEA = calibration((1.0, "mic", "Pa", 0.0, 1.0), (2.0, "b", "Pa", 0.0, 1.0))
 STEREO = RNG.integers(-32768, 32767, (1000, 2)).astype("<i2")
 
 
-def test_every_sample_format_gives_fractions_of_full_scale(read):
+def test_every_sample_format_gives_fractions_of_full_scale_and_another_is_named(read):
     rows = [
         (1, 8, lambda x: np.round(x * 128 + 128).astype("u1").tobytes()),
         (1, 16, lambda x: np.round(x * 32768).astype("<i2").tobytes()),
@@ -63,12 +64,13 @@ def test_every_sample_format_gives_fractions_of_full_scale(read):
         values = RNG.uniform(-0.99, 0.99, (500, 2))
         raw = read(riff(layout(code, 2, bits), (b"data", pack(values))), 0, "1")
         step = 2.0 ** (1 - bits) if code == 1 else 2.0**-24
-        np.testing.assert_allclose(
-            np.array([raw.columns[0], raw.columns["1"]]).T, values, rtol=0, atol=max(step, 2.0**-24)
-        )
+        made = np.stack([raw.columns[0], raw.columns["1"]], axis=1)
+        np.testing.assert_allclose(made, values, rtol=0, atol=max(step, 2.0**-24))
         assert raw.rates_hz == {0: 44_100.0, "1": 44_100.0}
         assert raw.units[0] == "FS"
         assert not raw.flags
+    with pytest.raises(InputError, match="sample format is not supported; found format code 2 with 4 bits"):
+        read(riff(layout(2, 1, 4), (b"data", b"\0" * 100)), 0)
 
 
 DATA = (b"data", STEREO.tobytes())
@@ -86,21 +88,14 @@ def test_a_calibration_that_is_not_understood_is_told(read):
         ((b"cals", "Full-Scale: 10 V".encode("utf-16-le")), "speaks of a calibration"),
     ]
     for chunk, said in rows:
-        for stray in [False, True]:
-            content = riff(layout(1, 2, 16), DATA, *([] if stray else [chunk]))
-            if stray:  # behind the end that the file declares
-                content += packed(*chunk)
+        whole, bare = riff(layout(1, 2, 16), DATA, chunk), riff(layout(1, 2, 16), DATA)
+        # behind the end that the file declares a calibration of that family alone is a chunk
+        for content in (whole, bare + packed(*chunk)) if chunk[0] == b"LEA " else (whole,):
             raw = read(content, 0)
-            if stray and chunk[0] != b"LEA ":
-                continue  # of what stands there a calibration of that family alone is a chunk
             (told,) = raw.flags
             assert (told["flag"], told["severity"]) == ("calibration_unknown", "suspect") and said in told["detail"]
             assert raw.units[0] == "FS"
-
-
-@pytest.mark.slow
-def test_notes_that_speak_of_no_calibration_are_no_doubt(read):
-    note = (b"LIST", b"INFOISFT" + struct.pack("<I", 14) + b"Lavf58.29.100\0")
+    note = (b"LIST", b"INFOISFT" + struct.pack("<I", 14) + b"Lavf58.29.100\0")  # speaks of none
     assert not read(riff(layout(1, 2, 16), note, (b"bext", bytes(602)), DATA), 0).flags
 
 
@@ -122,7 +117,7 @@ def test_samples_of_a_program_that_streams_are_read_to_the_end(read):
         assert raw.columns[0].size == 1000 and (riff_bytes == 0x7FFFF024 or not raw.flags)
 
 
-def test_lengths_of_64_bits_are_read(tmp_path, limits, read):
+def test_lengths_of_64_bits_are_read(read):
     for name in [b"RF64", b"BW64"]:
         for cut in [0, 100, 2400]:
             ds64 = struct.pack("<QQQI", 0, len(DATA[1]), 1000, 1) + struct.pack("<4sQ", b"LEA ", len(LEA[1]))
@@ -130,25 +125,13 @@ def test_lengths_of_64_bits_are_read(tmp_path, limits, read):
             content[:8] = name + b"\xff" * 4
             for chunk in (b"data", b"LEA "):
                 struct.pack_into("<I", content, content.rindex(chunk) + 4, 0xFFFFFFFF)
-            (tmp_path / "a.wav").write_bytes(content[: len(content) - cut])
             if cut > 1000:
                 with pytest.raises(InputError, match=r"truncated: 400 of 1000 samples"):
-                    read_file(tmp_path / "a.wav", sources=[1], settings=limits)
+                    read(content[:-cut], 1)
                 continue
-            raw = read_file(tmp_path / "a.wav", sources=[1], settings=limits)
+            raw = read(content[: len(content) - cut], 1)
             np.testing.assert_allclose(raw.columns[1], STEREO[: 1000 - cut // 4, 1] / 16384, rtol=1e-6)
             assert raw.units[1] == "Pa" and [one["flag"] for one in raw.flags] == ["missing_data"] * (cut > 0)
-
-
-@pytest.mark.slow
-def test_impossible_lengths_of_64_bits_are_refused(read):
-    for claimed in (2**64 - 1, 2**63 - 1, 2**40 + 1):
-        ds64 = struct.pack("<QQQI", 0, claimed, 1000, 0)
-        content = bytearray(riff((b"ds64", ds64), layout(1, 2, 16), DATA))
-        content[:4] = b"RF64"
-        struct.pack_into("<I", content, content.rindex(b"data") + 4, 0xFFFFFFFF)
-        with pytest.raises(InputError, match=r"truncated: 1000 of [0-9]{12,} samples"):
-            read(content, 1)
 
 
 def test_a_rate_that_the_byte_rate_contradicts_is_told(read):
@@ -169,19 +152,6 @@ def test_millions_of_chunks_are_refused_at_once(tmp_path, limits, refused_s):
     assert seconds[1] < 10.0 * seconds[0]
 
 
-def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(read):
-    content = riff(layout(1, 2, 16), DATA, LEA)
-    for length in sorted({0, 1, 8, len(content) // 2, len(content) - 1, *range(2, len(content), 97)}):
-        try:
-            raw = read(content[:length], 0)
-        except InputError as error:
-            assert "truncated" in str(error) or "holds no samples" in str(error) or "cut short" in str(error)
-        else:
-            assert [flag["flag"] for flag in raw.flags] == ["missing_data"]
-            assert f"{raw.columns[0].size} of 1000 samples" in raw.flags[0]["detail"]
-            assert raw.columns[0].size >= 900
-
-
 def test_a_lost_calibration_is_not_taken_for_none(read):
     data = riff(layout(1, 2, 16), DATA)
     whole = riff(layout(1, 2, 16), DATA, MIC)
@@ -189,29 +159,15 @@ def test_a_lost_calibration_is_not_taken_for_none(read):
         read(whole[: len(data)], 0)
 
 
-@pytest.mark.slow
-def test_a_format_that_is_not_read_is_named(read):
-    with pytest.raises(InputError, match="sample format is not supported; found format code 2 with 4 bits"):
-        read(riff(layout(2, 1, 4), (b"data", b"\0" * 100)), 0)
-
-
 @pytest.mark.filterwarnings("ignore:Chunk .non-data.:scipy.io.wavfile.WavFileWarning")
 def test_scipy_agrees_on_real_files_of_all_sample_formats(shared_data, limits):
-    rows = [
-        ("flute.wav", 0, 2.0**15),  # with bytes behind its end that are no chunk
-        ("flute_float32.wav", 0, 1.0),
-        ("flute_int24.wav", 0, 2.0**31),
-        ("flute_int32.wav", 0, 2.0**31),
-        ("flute_int8.wav", 128, 2.0**7),
-    ]
-    for name, zero, full_scale in rows:
-        from scipy.io import wavfile
-
-        path = shared_data / "formats" / "wav" / name
+    for path in (shared_data / "formats" / "wav").glob("flute*.wav"):  # one with bytes behind its end
         rate, samples = wavfile.read(path)
         raw = read_file(path, sources=[0], settings=limits)
         assert raw.rates_hz == {0: rate}
-        np.testing.assert_array_equal(raw.columns[0], (samples.astype(float) - zero) / full_scale)
+        full_scale = 1.0 if samples.dtype.kind == "f" else 2.0 ** (8 * samples.itemsize - 1)
+        expected = (samples.astype(float) - 128.0 * (samples.dtype == np.uint8)) / full_scale
+        np.testing.assert_array_equal(raw.columns[0], expected)
 
 
 def as_its_makers_write(samples, odd, lea, *, beyond):
@@ -224,29 +180,17 @@ def as_its_makers_write(samples, odd, lea, *, beyond):
 def test_a_calibration_is_read_wherever_its_maker_leaves_it(read):
     for beyond in [False, True]:
         for odd in [b"", b"abc", b"\0" * 17, b"LIST?" * 5]:
-            for factor in [1, 2, 8]:
-                lea = calibration(
-                    (1.0 * factor, "mic", "Pa", 0.0, 0.99655), (4821.43 * factor, "speed", "rpm", 0.0, 1.0)
-                )
-                smaller = (STEREO // factor).astype("<i2")
-                raw = read(as_its_makers_write(smaller.tobytes(), odd, lea, beyond=beyond), "mic", "speed")
-                assert raw.units == {"mic": "Pa", "speed": "rpm"} and not raw.flags
-                np.testing.assert_allclose(
-                    raw.columns["mic"], smaller[:, 0] / 32768 * factor * 0.99655, rtol=1e-6, atol=1e-9
-                )
-                np.testing.assert_allclose(
-                    raw.columns["speed"], smaller[:, 1] / 32768 * factor * 4821.43, rtol=1e-6, atol=1e-6
-                )
+            lea = calibration((2.0, "mic", "Pa", 0.0, 0.99655), (4821.43, "speed", "rpm", 0.0, 1.0))
+            raw = read(as_its_makers_write(STEREO.tobytes(), odd, lea, beyond=beyond), "mic", "speed")
+            assert raw.units == {"mic": "Pa", "speed": "rpm"} and not raw.flags
+            made = np.stack([raw.columns["mic"] / (2.0 * 0.99655), raw.columns["speed"] / 4821.43], axis=1)
+            np.testing.assert_allclose(made, STEREO / 32768, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.slow
-def test_odd_samples_may_be_filled_up_or_not(tmp_path, limits):
-    for n in [1000, 1001]:
-        samples = RNG.integers(0, 255, n).astype("u1").tobytes()
-        lea = calibration((2.0, "mic", "Pa", 0.0, 1.0))
-        padded = riff(layout(1, 1, 8), (b"data", samples), lea)
-        bare = padded if n % 2 == 0 else padded.replace(samples + b"\0LEA ", samples + b"LEA ")
-        for name, data in (("padded", padded), ("bare", bare)):
-            (tmp_path / f"{name}.wav").write_bytes(data)
-            raw = read_file(tmp_path / f"{name}.wav", sources=["mic"], settings=limits)
-            assert raw.units["mic"] == "Pa" and raw.columns["mic"].size == n
+def test_odd_samples_may_be_filled_up_or_not(read):
+    samples = RNG.integers(0, 255, 1001).astype("u1").tobytes()
+    padded = riff(layout(1, 1, 8), (b"data", samples), MIC)
+    for data in (padded, padded.replace(samples + b"\0LEA ", samples + b"LEA ")):
+        raw = read(data, "mic")
+        assert raw.units["mic"] == "Pa" and raw.columns["mic"].size == 1001

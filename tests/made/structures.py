@@ -1,6 +1,6 @@
 """Structures that white noise and the orders of a shaft drive: digital filters in the time domain, drawn by seed."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.settings import load_settings
-from made.recordings import run_up, steady
+from made.recordings import steady
 
 Array = NDArray[np.float64]
 
@@ -75,20 +75,6 @@ def recorded(made: Structure, seed: int) -> xr.Dataset:
     return campbell_map(frames, speed_bin_rpm=settings.orders.speed_bin_rpm)
 
 
-def swept_up(made: Structure, seed: int, *, seconds: float) -> xr.Dataset:
-    """CampbellMap of a run-up of ``made`` from its slowest to its fastest speed in ``seconds``."""
-    random, settings = np.random.default_rng([seed, 8]), load_settings()
-    low, high = float(made.speed_rpm[0]), float(made.speed_rpm[-1])
-    time = np.arange(-round(WARM_UP_S * RATE_HZ), round(seconds * RATE_HZ)) / RATE_HZ
-    risen = np.maximum(time, 0.0)
-    angle = (low * time + 0.5 * (high - low) * risen**2 / seconds) / 60.0
-    rows = made.signals(angle, low + (high - low) * risen / seconds, random)
-    signals = [lambda t, a, row=row: row for row in rows]
-    recording = run_up(signals, from_rpm=low, to_rpm=high, duration_s=seconds, rate_hz=RATE_HZ)
-    frames = frequency_frames(*recording, settings=settings.campbell)
-    return campbell_map([frames], speed_bin_rpm=settings.orders.speed_bin_rpm)
-
-
 def drawn(
     seed: int, *, n_speeds: int, n_modes: int, lowest_hz: float = 25.0, highest_hz: float = 450.0,
     damping: tuple[float, float] = (0.002, 0.1),
@@ -115,16 +101,3 @@ def drawn(
         duration_s=float(random.uniform(5.0, 15.0)), order=order, order_force=forces,
         gain=np.linspace(1.0, random.uniform(1.0, 1.5), n_speeds),
     )  # fmt: skip
-
-
-def with_pair(made: Structure, apart: float) -> Structure:
-    """``made`` with a copy of its first mode ``apart`` half widths above it, of another shape."""
-    f, zeta = made.natural_hz[0], made.damping[0]
-    return replace(
-        made,
-        natural_hz=np.insert(made.natural_hz, 1, f * (1.0 + apart * zeta)),
-        damping=np.insert(made.damping, 1, zeta),
-        shape=np.insert(made.shape, 1, made.shape[0] * np.resize([1.0, -0.8, 0.6], made.shape.shape[1]), axis=0),
-        drive=np.insert(made.drive, 1, np.roll(made.drive[0], 1), axis=0),
-        order_force=np.insert(made.order_force, 2, made.order_force[:, 1], axis=1),
-    )

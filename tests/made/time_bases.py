@@ -1,6 +1,6 @@
 """Columns with rates and starts of their own, in every format that can hold them in one file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,19 +63,41 @@ def as_matlab(path: Path, columns: list[Sampled]) -> dict[str, str]:
     return {column.name: f"{column.name}.y" for column in columns}
 
 
+def uff_header(
+    name: str, n_samples: int, *, form: int = 2, function: int = 1, node: int = 3, direction: int = -2,
+    spacing: int = 1, time: str = "s", unit: str = "m/s^2", start_s: float = 0.5, step_s: float = 1.0 / 2560.0,
+) -> str:  # fmt: skip
+    """Head of a data set 58: ``n_samples`` of a ``function`` at a ``node``, of data type ``form``."""
+    axis = 17 if function == 1 or not spacing else 18
+    lines = [name, "NONE", "01-Jan-26 00:00:00", "NONE", "NONE"]
+    lines += [f"{function:5d}{1:10d}{0:5d}{0:10d} {'NONE':10s}{node:10d}{direction:4d} {'NONE':10s}{0:10d}{0:4d}"]
+    lines += [f"{form:10d}{n_samples:10d}{spacing:10d}{start_s:13.5E}{step_s:13.5E}{0.0:13.5E}"]
+    none = (0, "NONE", "NONE")
+    for kind, words, units in ((axis, "Time", time), (12, "Acceleration", unit), none, none):
+        lines += [f"{kind:10d}{0:5d}{0:5d}{0:5d} {words:20s} {units:20s}"]
+    return "\n".join([*lines, ""])
+
+
+def uff_text(head: str, cells: Sequence[str], per_line: int) -> bytes:
+    """Data set 58 of the ``cells`` of a text, so many on each line; the last line is padded."""
+    rows = ["".join(cells[first : first + per_line]) for first in range(0, len(cells), per_line)]
+    body = "\n".join(rows)
+    return f"    -1\n    58\n{head}{body.ljust(80)}\n    -1\n".encode()
+
+
+def uff_binary(head: str, data: bytes, order: int) -> bytes:
+    """Data set 58 of binary ``data`` in a byte ``order``."""
+    first = f"    58b{order:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
+    return f"    -1\n{first}{head}".encode() + data + b"\n    -1\n"
+
+
 def as_uff(path: Path, columns: list[Sampled]) -> dict[str, str]:
     sets = []
-    for number, column in enumerate(columns, start=1):
-        head = [column.name, "NONE", "NONE", "NONE", "NONE"]
-        head += [f"{1:5d}{0:10d}{0:5d}{0:10d} NONE      {number:10d}{3:4d} NONE      {0:10d}{0:4d}"]
-        head += [f"{4:10d}{column.values.size:10d}{1:10d}{column.start_s:13.5E}{1.0 / column.rate_hz:13.5E}{0.0:13.5E}"]
-        head += [f"{17:10d}    0    0    0 Time                 s"]
-        head += [f"{12:10d}    0    0    0 Response             {column.unit}"]
-        head += [f"{0:10d}    0    0    0 NONE                 NONE"] * 2
-        fours = np.array_split(column.values, range(4, column.values.size, 4))
-        lines = ["".join(f"{value:20.12E}" for value in four) for four in fours]
-        sets.append("\n".join(["    -1", "    58", *head, *lines, "    -1", ""]))
-    path.with_suffix(".uff").write_text("".join(sets))
+    for number, (name, unit, values, rate_hz, start_s) in enumerate(columns, start=1):
+        place = {"node": number, "direction": 3, "unit": unit, "start_s": start_s, "step_s": 1.0 / rate_hz}
+        head = uff_header(name, values.size, form=4, **place)  # type: ignore[arg-type]
+        sets.append(uff_text(head, [f"{value:20.12E}" for value in values], 4))
+    path.with_suffix(".uff").write_bytes(b"".join(sets))
     return {column.name: f"{number}+Z" for number, column in enumerate(columns, start=1)}
 
 

@@ -7,7 +7,9 @@ from scipy.signal import fftconvolve
 from crankorder.errors import InputError
 from crankorder.fft.decimation import band_limited
 from crankorder.orders.frames import order_frames
-from crankorder.orders.swept_tracks import swept_tracks
+from crankorder.orders.map import order_map
+from crankorder.orders.swept_tracks import followed_tracks, swept_tracks
+from crankorder.orders.track_rows import order_tracks
 from crankorder.orders.vold_kalman import impulse_response, taken_in_truth
 from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
@@ -80,6 +82,18 @@ def test_rows_and_frames_stand_at_the_speeds_that_were_run(course):
     assert np.quantile(error, 0.9) < 0.002
     assert error.max() < 0.1
     assert tracks["speed"].values.min() > 20.0
+
+
+def test_the_rows_of_a_sweep_come_from_its_frames_where_these_are_asked_for():
+    band, shaft, *_ = recording_of(COURSES["fast run-up"], {2.0: 1.0})
+    settings = SETTINGS.orders.model_copy(update={"track_method": "frames", "track_orders": (2.0,)})
+    frames = order_frames(band, shaft, settings=settings)
+    followed = followed_tracks(band, shaft, settings=settings, swept=True)
+    made = order_map([frames], settings=settings)
+    tracks = order_tracks(made, [2.0], settings=settings, frames=[frames], followed=[followed])
+    assert tracks["track_method"].values.tolist() == ["frames"]
+    np.testing.assert_array_equal(tracks["speed"].values, np.sort(made["speed"].values))
+    assert np.nanmedian(tracks["amplitude"].values) == pytest.approx(1.0, rel=0.05)
 
 
 def test_a_shaft_that_hardly_turns_is_no_sweep_to_crash_in():

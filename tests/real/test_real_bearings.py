@@ -14,11 +14,8 @@ CWRU, MFPT = ("cwru", "cwru_12k_de_1750"), ("mfpt", "mfpt_vload")
 SEEDED = [
     (MFPT, "InnerRaceFault_vload_1.mat", "BPFI", 4.715, -0.84),
     (MFPT, "OuterRaceFault_vload_4.mat", "BPFO", 3.210, -1.08),
-    (CWRU, "0.007-InnerRace.mat", "BPFI", 5.4018, -0.25), (CWRU, "0.014-InnerRace.mat", "BPFI", 5.4116, -0.07),
-    (CWRU, "0.007-OuterRace3.mat", "BPFO", 3.5980, +0.37), (CWRU, "0.007-OuterRace6.mat", "BPFO", 3.5972, +0.35),
+    (CWRU, "0.007-InnerRace.mat", "BPFI", 5.4018, -0.25), (CWRU, "0.007-OuterRace3.mat", "BPFO", 3.5980, +0.37),
     (CWRU, "0.021-OuterRace6.mat", "BPFO", 3.5908, +0.17),
-    (MFPT, "InnerRaceFault_vload_4.mat", "BPFI", 4.717, -0.80),
-    (MFPT, "OuterRaceFault_vload_1.mat", "BPFO", 3.203, -1.29),
 ]  # fmt: skip
 
 
@@ -26,7 +23,7 @@ SEEDED = [
     ("place", "file", "race", "order", "off_percent"),
     [*SEEDED[:2], *(pytest.param(*row, marks=pytest.mark.slow) for row in SEEDED[2:])],
 )
-def test_the_damaged_race_is_named_with_its_slip_at_every_load(analysed, place, file, race, order, off_percent):
+def test_the_damaged_race_is_named_with_its_slip(analysed, place, file, race, order, off_percent):
     """By hand it slips beside the stated speed; where the sidebands tell another, beside that.
 
     The speed of MFPT is nominal, and a record of three seconds tells 1/3 Hz apart: 0.013 of an order.

@@ -42,10 +42,6 @@ def test_lines_beside_the_mesh_are_its_sidebands_and_no_line_is_surely_a_mode(ge
     assert not [hz for hz in gear.modes_hz() if np.min(np.abs(hz / turning - 1.0)) <= 0.002]
 
 
-def test_the_rate_comes_from_the_header_and_the_unit_from_nobody(gear):
-    assert gear.group("shaft")["trace_time"].max().item() == pytest.approx(282624 / 25600, rel=1e-6)
-
-
 def test_every_line_that_one_speed_cannot_prove_says_so(gear):
     """Its speed is nominal: what is not proven to be locked could be of fixed frequency, and the evidence says it."""
     for record in gear.findings["orders"]:
