@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.special import fdtrc, fdtri
+from scipy.special import fdtri
 
 from crankorder.comparison import BalanceChange, UnbalanceRecord
 from crankorder.engine.definition import Engine
@@ -25,7 +25,7 @@ from crankorder.identify.balance.unbalance_fit import (
     size_and_angle,
     with_interval,
 )
-from crankorder.identify.order_changes import Line, OrderChange, like_speeds, welch
+from crankorder.identify.order_changes import Line, OrderChange, chance_of, like_speeds, welch
 from crankorder.orders.intervals import LOCATED, Z95, error_of, half_width, interval, size_interval
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.records import known
@@ -71,7 +71,7 @@ class MassFactor(NamedTuple):
     @property
     def fits(self) -> bool:
         """Whether one factor explains all channels and speeds."""
-        return self.chance >= NUMBERS.fit_chance
+        return bool(self.chance >= NUMBERS.fit_chance)
 
     @property
     def multiple(self) -> tuple[complex, float]:
@@ -123,9 +123,7 @@ def mass_factor(
     mean_square = misfit / max(1, 2 * n - 2)
     # channels are counted as telling the same
     of_speed = np.array([freedom[row, k].mean() for k, row in enumerate(seen.T) if row.any()])
-    # an estimated variance makes a square over it larger on average, by freedom / (freedom − 2)
-    fair = float(np.mean(np.maximum(of_speed - 2.0, 0.5) / of_speed))
-    chance = float(fdtrc(max(2.0 * len(of_speed) - 2.0, 2.0), of_speed.sum(), fair * mean_square))
+    chance = chance_of(mean_square, max(2.0 * len(of_speed) - 2.0, 2.0), of_speed)
     variance, missed = wider * float(scatter) / float(information.sum()) ** 2, 0.0
     if chance < NUMBERS.fit_chance:
         variance *= max(1.0, mean_square)
@@ -320,10 +318,12 @@ def _in_any_unit(order_map: xr.Dataset) -> xr.Dataset:
     return taken.assign_coords(unit=("channel", unit_of), quantity=("channel", quantity_of))
 
 
-def _stated_change(
-    base_map: xr.Dataset, new_map: xr.Dataset, order: int
-) -> tuple[MassFactor, OrderChange, tuple[str, ...]] | str:
-    """Factor of the ``order`` at all channels and speeds, its change (channels, speeds) and channels; or why not."""
+_Stated = tuple[MassFactor, OrderChange, tuple[str, ...]]
+"""Factor of an order at all channels and speeds, its change (channels, speeds), and the names of the channels."""
+
+
+def _stated_change(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _Stated | str:
+    """What the stated mass changed at ``order``, or why that tells nothing."""
     maps = [_in_any_unit(order_map) for order_map in (base_map, new_map)]
     if not all(order_map.sizes["channel"] and order_map.sizes["speed"] for order_map in maps):
         return "the tests have no vibration channel, or no speed"
@@ -336,8 +336,8 @@ def _stated_change(
     here, there = like_speeds(np.log(base.rpm_of_row), np.log(new.rpm_of_row), within_rpm=share)
     if not here.size:
         return "the two tests have no speed in common"
-    lines = [_line(measured, rows) for measured, rows in ((base, here), (new, there))]
-    change = OrderChange(base.rpm_of_row[here], new.rpm_of_row[there], *lines, order=order)
+    lines = _line(base, here), _line(new, there)
+    change = OrderChange(base.rpm_of_row[here], new.rpm_of_row[there], lines[0], lines[1], order=order)
     factor = mass_factor(change, correlation=base.correlation[here], own_share=base.own_share[:, here])
     power = np.abs(change.vector_change) ** 2
     noise = np.where(np.isnan(power), 0.0, lines[0].vector_error ** 2 + lines[1].vector_error ** 2)
@@ -375,11 +375,7 @@ def _of_crank(record: TrialBalance, factor: MassFactor, total: complex) -> Trial
 
 
 def _of_piston(
-    record: TrialBalance,
-    factor: MassFactor,
-    mass_g: float,
-    engine: Engine,
-    second: tuple[MassFactor, OrderChange, tuple[str, ...]] | str,
+    record: TrialBalance, factor: MassFactor, mass_g: float, engine: Engine, second: _Stated | str
 ) -> TrialBalance:
     per_g = abs(force_per_kg(engine.pistons_alone, 1, Z, along_only=True))
     multiple, error = factor.multiple
