@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
@@ -29,9 +29,7 @@ from crankorder.comparison import (
     OrderChangeRecord,
     Part,
     Severity,
-    SpeedPair,
     Trend,
-    UnbalanceRecord,
 )
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import AddedMass
@@ -45,7 +43,6 @@ from crankorder.identify.order_changes import (
     like_speeds,
     order_changes,
     order_maps,
-    orders_to_compare,
     run_trends,
 )
 from crankorder.orders.intervals import claimed, error_of, interval
@@ -81,17 +78,15 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     refused = {doubt.channel: doubt.words for doubt in invalid}
     channels = [channel.name for channel in base.findings.channels if channel.name not in refused]
     within = max(float(test.run["settings"]["orders"]["speed_bin_rpm"]) for test in (base, new))
-    speeds, orders, changes = _orders(base, new, channels, doubts, within=within, q=q)
+    phases = not any(doubt.part == "phases" and doubt.severity == "weakens" for doubt in doubts)
+    speeds, orders, changes = order_changes(base, new, channels, within_rpm=within, q=q, phases=phases)
     modes = _mode_shifts(base.findings, new.findings) if "modes" in base.comparable & new.comparable else []
     units = [{channel.name: channel.unit for channel in test.findings.channels} for test in tests]
     shared = [name for name in channels if all(of_test.get(name) == units[0][name] for of_test in units)]
     unbalances = [found for c in changes if c.order in (1.0, 2.0) and (found := unbalance_change(c))]
-    records = tuple(record for record, _ in unbalances)
     explaining = [factor for record, factor in unbalances if record.explains]
     trial, trial_reason = _trial_mass(base, new)
-    order_records = tuple(_order_record(change, _explained(change, base, new)) for change in changes)
-    mode_records = tuple(sorted(_with_claims(modes, q=q), key=lambda mode: mode.frequency_hz))
-    trends = tuple(_with_claims(run_trends(tests, orders, shared, within_rpm=within), q=q))
+    trends = run_trends(tests, orders, shared, within_rpm=within)
     compared_channels = (
         ChannelCompared(name=name, unit=unit, compared=name in channels, reason=refused.get(name, ""))
         for name, unit in {**units[-1], **units[0]}.items()
@@ -100,13 +95,16 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     why_not = "" if closed else new.findings.balance_reason or base.findings.balance_reason or ""
     document = Comparison(
         schema_version=SCHEMA_VERSION, base=base.name, new=new.name, runs=tuple(test.name for test in tests),
-        false_discovery_rate=q, headline=(), cause=_explanation(order_records, mode_records, records, trends),
-        speeds=speeds, channels=tuple(compared_channels), orders=order_records,
-        modes=mode_records, unbalance=records, trial_mass=trial, trial_mass_reason=trial_reason,
+        false_discovery_rate=q, headline=(), cause=Explanation(cause="not comparable", orders=()), speeds=speeds,
+        channels=tuple(compared_channels),
+        orders=tuple(_order_record(change, _explained(change, base, new)) for change in changes),
+        modes=tuple(sorted(_with_claims(modes, q=q), key=lambda mode: mode.frequency_hz)),
+        unbalance=tuple(record for record, _ in unbalances), trial_mass=trial, trial_mass_reason=trial_reason,
         balance=balance_changes(base.findings, new.findings, explaining), balance_reason=why_not,
-        trend=trends, confounds=tuple(doubts),
+        trend=tuple(_with_claims(trends, q=q)), confounds=tuple(doubts),
     )  # fmt: skip
-    return Compared(document, {"order_change": _order_dataset(changes)} if changes else {})
+    datasets = {"order_change": _order_dataset(changes)} if changes else {}
+    return Compared(replace(document, cause=_explanation(document)), datasets)
 
 
 def _with_claims(records: Sequence[R], *, q: float) -> list[R]:
@@ -115,50 +113,25 @@ def _with_claims(records: Sequence[R], *, q: float) -> list[R]:
     return [replace(record, changed=bool(claim)) for record, claim in zip(records, claims, strict=True)]
 
 
-def _orders(
-    base: Tested, new: Tested, channels: Sequence[str], doubts: Sequence[Confound], *, within: float, q: float
-) -> tuple[tuple[SpeedPair, ...], list[tuple[float, bool]], list[OrderChange]]:
-    """Speeds and orders that are compared, and the changes; by amplitude alone where ``doubts`` are of the phases."""
-    maps = order_maps((base, new))
-    if not maps:
-        return (), [], []
-    rpm = [order_map["speed"].values for order_map in maps]
-    pairs = zip(*like_speeds(*rpm, within_rpm=within), strict=True)
-    speeds = tuple(SpeedPair(base_rpm=finite(rpm[0][at]), new_rpm=finite(rpm[1][to])) for at, to in pairs)
-    highest = min(float(order_map["order"].values[-1]) for order_map in maps)
-    orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
-    phases = not any(doubt.part == "phases" and doubt.severity == "weakens" for doubt in doubts)
-    changes = order_changes(maps[0], maps[1], orders, channels, within_rpm=within, q=q, phases=phases)
-    return speeds, orders, changes
-
-
-def _explanation(
-    records: Sequence[OrderChangeRecord],
-    modes: Sequence[ModeShift],
-    unbalances: Sequence[UnbalanceRecord],
-    trends: Sequence[Trend],
-) -> Explanation:
+def _explanation(comparison: Comparison) -> Explanation:
     """What explains the changes best: the cause in one word or two, and the orders that it concerns."""
-    changed = [record for record in records if record.changed]
+    changed = [record for record in comparison.orders if record.changed]
     orders = tuple(sorted({record.order for record in changed}))
-    grown = tuple(sorted({trend.order for trend in trends if trend.grows}))
-    explained = any(unbalance.explains for unbalance in unbalances)
-    cause: Cause = "orders"
-    if not (records or any(mode.only_in is None for mode in modes)):
-        cause = "not comparable"
-    elif not orders and grown:
-        cause, orders = "growing line", grown
-    elif not orders and any(mode.changed for mode in modes):
-        cause = "natural frequencies"
-    elif not orders:
-        cause = "nothing changed"
-    elif orders == (1.0,) and explained:
-        cause = "unbalance"
-    elif all(record.phase_only for record in changed):  # a mark that moved, rather than masses
-        cause = "orders"
-    elif set(orders) <= {1.0, 2.0} and explained:
-        cause = "moving masses"
-    return Explanation(cause=cause, orders=orders)
+    grown = tuple(sorted({trend.order for trend in comparison.trend if trend.grows}))
+    compared_modes = [mode for mode in comparison.modes if mode.only_in is None]
+    explained = any(unbalance.explains for unbalance in comparison.unbalance)
+    moved_mark = all(record.phase_only for record in changed)  # rather than masses
+    causes: tuple[tuple[Cause, bool], ...] = (
+        ("not comparable", not (comparison.orders or compared_modes)),
+        ("growing line", not orders and bool(grown)),
+        ("natural frequencies", not orders and any(mode.changed for mode in compared_modes)),
+        ("nothing changed", not orders),
+        ("unbalance", explained and orders == (1.0,)),
+        ("moving masses", explained and not moved_mark and set(orders) <= {1.0, 2.0}),
+        ("orders", True),
+    )
+    cause = next(cause for cause, holds in causes if holds)
+    return Explanation(cause=cause, orders=grown if cause == "growing line" else orders)
 
 
 def _explained(change: OrderChange, base: Tested, new: Tested) -> str | None:
@@ -321,6 +294,20 @@ _RULES: tuple[tuple[str, str, Severity, Part, str], ...] = (
 )  # fmt: skip
 
 
+def _speeds_text(order_map: xr.Dataset) -> str:
+    rpm = order_map["speed"].values[np.isfinite(order_map["speed"].values)]
+    return f"{len(rpm)} speeds, {rpm.min():.0f} to {rpm.max():.0f} rpm" if len(rpm) else "not known"
+
+
+_MAP_RULES: tuple[tuple[str, Callable[[xr.Dataset], str], Severity, Part, str], ...] = (
+    ("highest order", lambda order_map: f"{float(order_map['order'].values[-1]):g}", "harmless", "orders",
+     "orders are compared up to the lower"),
+    ("phase reference", lambda order_map: str(order_map.attrs.get("phase_reference")), "weakens", "phases",
+     "phases count from other marks: amplitudes only are compared"),
+    ("speeds", _speeds_text, "weakens", "all", "only speeds that both have are compared; nothing is interpolated"),
+)  # fmt: skip
+
+
 _CHANNEL_RULES: tuple[tuple[str, Severity, str], ...] = (
     ("unit", "invalid", "amplitudes in other units cannot be compared"),
     ("quantity", "invalid", "other quantities cannot be compared"),
@@ -338,6 +325,11 @@ def confounds(base: Tested, new: Tested) -> list[Confound]:
         _confound(what, severity, part, [_text(value) for value in values], words)
         for what, path, severity, part, words in _RULES
         if (values := [_at(test, path) for test in tests]) and values[0] != values[1]
+    ]
+    differences += [
+        _confound(what, severity, part, values, words)
+        for what, text, severity, part, words in _MAP_RULES
+        if (values := list(map(text, order_maps(tests)))) and values[0] != values[1]
     ]
     for concerns in (_channels, _maps, _firing, _repeats, _quality, _versions, _same_inputs):
         differences += concerns(tests)
@@ -381,28 +373,15 @@ def _channels(tests: Tests) -> Iterator[Confound]:
 
 
 def _maps(tests: Tests) -> Iterator[Confound]:
-    """Highest order, speeds, frames and phase marks as the order maps have them."""
-    maps = order_maps(tests)
-    if not maps:
-        values = ["held" if "order_map" in test.maps else "missing" for test in tests]
+    """Whether one test alone has an order map, and frames in number."""
+    held = ["held" if "order_map" in test.maps else "missing" for test in tests]
+    counts = [int(order_map["n_frames"].values.sum()) for order_map in order_maps(tests)]
+    if held[0] != held[1]:
         words = "orders are compared where the results of both tests hold an order map"
-        if "held" in values:
-            yield _confound("order map", "invalid", "orders", values, words)
-        return
-    speeds = [order_map["speed"].values[np.isfinite(order_map["speed"].values)] for order_map in maps]
-    ranges = [f"{len(rpm)} speeds, {rpm.min():.0f} to {rpm.max():.0f} rpm" if len(rpm) else "" for rpm in speeds]
-    counts = [int(order_map["n_frames"].values.sum()) for order_map in maps]
-    few = max(counts) > CONFOUND_NUMBERS.few_frames_ratio * max(min(counts), 1)
-    rules: tuple[tuple[str, Severity, Part, list[str], str], ...] = (
-        ("highest order", "harmless", "orders", [f"{float(order_map['order'].values[-1]):g}" for order_map in maps],
-         "orders are compared up to the lower"),
-        ("phase reference", "weakens", "phases", [str(order_map.attrs.get("phase_reference")) for order_map in maps],
-         "phases count from other marks: amplitudes only are compared"),
-        ("speeds", "weakens", "all", ranges, "only speeds that both have are compared; nothing is interpolated"),
-        ("frames averaged", "harmless", "all", [str(n) for n in counts] if few else ["", ""],
-         "the intervals allow for it: small changes may hide in the shorter test"),
-    )  # fmt: skip
-    yield from (_confound(*rule) for rule in rules if all(rule[3]) and rule[3][0] != rule[3][1])
+        yield _confound("order map", "invalid", "orders", held, words)
+    if counts and max(counts) > CONFOUND_NUMBERS.few_frames_ratio * max(min(counts), 1):
+        words = "the intervals allow for it: small changes may hide in the shorter test"
+        yield _confound("frames averaged", "harmless", "all", list(map(str, counts)), words)
 
 
 def _firing(tests: Tests) -> Iterator[Confound]:

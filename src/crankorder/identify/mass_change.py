@@ -26,7 +26,7 @@ from crankorder.identify.balance.unbalance_fit import (
     with_interval,
 )
 from crankorder.identify.order_changes import Line, OrderChange, chance_of, like_speeds, welch
-from crankorder.orders.intervals import LOCATED, Z95, error_of, half_width, interval, size_interval
+from crankorder.orders.intervals import Z95, error_of, half_width, interval, one_phase_reference, size_interval
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.records import known
 from crankorder.settings import MethodNumbers
@@ -34,6 +34,9 @@ from crankorder.settings import MethodNumbers
 NUMBERS = MethodNumbers("5-identify-changes.toml", "mass_change")
 
 _STEPS = 500
+
+ONE_CHANNEL = np.ones((1, 1, 1), dtype=np.complex128)
+"""Correlation of its errors, at any number of speeds."""
 
 ONE_FACTOR = 13.8
 """99.9 % point of χ² with two degrees of freedom: beyond it two factors are not one."""
@@ -69,11 +72,6 @@ class MassFactor(NamedTuple):
     missed: float = 0.0
 
     @property
-    def fits(self) -> bool:
-        """Whether one factor explains all channels and speeds."""
-        return bool(self.chance >= NUMBERS.fit_chance)
-
-    @property
     def multiple(self) -> tuple[complex, float]:
         """Unbalance before as a multiple of what was added, and the standard error of each part."""
         multiple = 1.0 / (self.value - 1.0)
@@ -81,9 +79,9 @@ class MassFactor(NamedTuple):
 
 
 def mass_factor(
-    change: OrderChange, *, correlation: Complexes | None = None, own_share: Floats | float = 1.0
-) -> MassFactor | None:
-    """The factor of unbalance that explains ``change`` at all its speeds and channels; None where no phasor changed.
+    change: OrderChange, *, correlation: Complexes = ONE_CHANNEL, own_share: Floats | float = 1.0
+) -> MassFactor:
+    """The factor of unbalance that explains ``change`` at all its speeds and channels, of which one or more are seen.
 
     It is the maximum-likelihood slope of a line through the origin with errors in both phasors (Fuller 1987,
     Measurement Error Models, sec. 1.3). Its error holds for weights that were estimated from the data (Meier 1953,
@@ -92,7 +90,7 @@ def mass_factor(
     Parameters
     ----------
     change : of one order locked to the shaft; lines (speeds,) of a channel or (channels, speeds); NaN is not seen
-    correlation : (speeds, channels, channels), of the channels' errors; None of one channel
+    correlation : (speeds, channels, channels), of the channels' errors
     own_share : (channels, speeds), 0 to 1: share of the errors that was estimated from the order's own scatter
     """
     (y, z), (y_error, z_error), freedoms = (
@@ -100,8 +98,6 @@ def mass_factor(
         for name in ("vector", "vector_error", "freedom")
     )
     seen = np.isfinite(y) & np.isfinite(z) & (y_error >= 0) & (z_error > 0)
-    if not seen.any():
-        return None
     _, freedom = welch(y_error, freedoms[0], z_error, freedoms[1])
     y, z, y_power, z_power = y[seen], z[seen], y_error[seen] ** 2, z_error[seen] ** 2
     factor, true = complex(np.nan), y
@@ -116,9 +112,7 @@ def mass_factor(
     information = np.abs(pull) ** 2
     share = information / information.sum()
     wider = 1.0 + 4.0 * float(np.nansum(share * (1.0 - share) * np.square(own_share) / freedom))
-    scatter = information.sum()
-    if correlation is not None:
-        scatter = np.einsum("cs,scd,ds->", pull.conj(), correlation, pull).real
+    scatter = np.einsum("cs,scd,ds->", pull.conj(), correlation, pull).real
     misfit, n = float(np.sum(np.abs(z - factor * y) ** 2 / total)), len(y)
     mean_square = misfit / max(1, 2 * n - 2)
     # channels are counted as telling the same
@@ -151,15 +145,13 @@ def unbalance_change(change: OrderChange) -> tuple[UnbalanceRecord, MassFactor] 
     grown = replace(new, vector=change.vector_change, vector_error=both, freedom=freedom)
     exact = replace(base, vector=square.astype(np.complex128), vector_error=np.zeros(len(square)))
     factor, law = mass_factor(change), mass_factor(replace(change, base=exact, new=grown))
-    if factor is None or law is None:
-        return None
     radius = float(np.sqrt(2.0 * fdtri(2.0, factor.freedom, 0.95))) * factor.error
     half, law_half = (each.error * half_width(each.freedom) for each in (factor, law))
     size, turned = abs(factor.value), float(np.angle(factor.value, deg=True))
     half_angle = float(np.degrees(np.arcsin(half / size))) if half < size else None
     record = UnbalanceRecord(
         channel=change.channel, order=change.order, unit=change.unit, changed=change.changed,
-        explains=bool(change.changed and factor.fits and abs(factor.value - 1.0) > radius),
+        explains=bool(change.changed and factor.chance >= NUMBERS.fit_chance and abs(factor.value - 1.0) > radius),
         factor=size, factor_ci95=size_interval(factor.value, half),
         turned_deg=None if half_angle is None else turned,
         turned_deg_ci95=None if half_angle is None else (turned - half_angle, turned + half_angle),
@@ -260,13 +252,12 @@ def trial_mass(
     Source: influence coefficients (Goodman 1964), here by total least squares over channels and speeds.
     """
     kinds = {mass.on for mass in added}
-    references = {str(order_map.attrs.get("phase_reference", "none")) for order_map in (base_map, new_map)}
     arms = [1.0 if mass.radius_mm is None else mass.radius_mm for mass in added]  # g·mm on the crank, g on a piston
     total = complex(sum(cmath.rect(a * m.mass_g, np.radians(m.angle_deg)) for a, m in zip(arms, added, strict=True)))
     one_cylinder = engine is not None and len(engine.cylinders) == 1 and engine.largest_piston_kg > 0
     for refused, reason in (
         (len(kinds) > 1, "masses were added on the crank and on a piston at once: their effects cannot be told apart"),
-        (len(references) > 1 or not references <= set(LOCATED),
+        (not one_phase_reference((base_map, new_map)),
          "the two tests have no mark of the shaft in common, so their phases cannot be compared"),
         ("piston" in kinds and not one_cylinder,
          "a mass on a piston tells a residual of an engine of one cylinder alone"),
@@ -280,24 +271,22 @@ def trial_mass(
     factor, change, channels = first
     seen = np.isfinite(change.vector_change)
     over_noise = float(np.median(np.abs(change.vector_change[seen]) / change.base.error[seen]))
+    per_unit = change.vector_change / total
+    influence = (
+        Influence(
+            channel=channels[c], speed_rpm=float(change.base_rpm[s]), response_per_unit=float(abs(per_unit[c, s])),
+            phase_deg=float(np.angle(per_unit[c, s], deg=True)),
+        )
+        for c, s in np.argwhere(seen)
+    )  # fmt: skip
     record = TrialBalance(
-        source="trial mass",
-        orders_used=(1,),
+        source="trial mass", orders_used=(1,), influence=tuple(influence),
         crank_radius_mm=None if engine is None or engine.largest_piston_kg == 0 else 1e3 * engine.crank_radius_m,
         radius_mm=added[0].radius_mm if len({mass.radius_mm for mass in added}) == 1 else None,
-        influence=tuple(
-            Influence(
-                channel=channels[c],
-                speed_rpm=float(change.base_rpm[s]),
-                response_per_unit=float(abs(change.vector_change[c, s] / total)),
-                phase_deg=float(np.angle(change.vector_change[c, s] / total, deg=True)),
-            )
-            for c, s in np.argwhere(seen)
-        ),
         evidence=f"{added_words(added).partition(': ')[2]} changed order 1 by {over_noise:.0f} times its error at "
         f"{np.count_nonzero(seen.any(axis=0))} speeds; one residual explains all channels and speeds but for "
         f"{100 * factor.missed:.0f} %",
-    )
+    )  # fmt: skip
     if kinds == {"piston"} and engine is not None:
         return _of_piston(record, factor, total.real, engine, _stated_change(base_map, new_map, 2)), ""
     return _of_crank(record, factor, total), ""
@@ -338,11 +327,11 @@ def _stated_change(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _St
         return "the two tests have no speed in common"
     lines = _line(base, here), _line(new, there)
     change = OrderChange(base.rpm_of_row[here], new.rpm_of_row[there], lines[0], lines[1], order=order)
-    factor = mass_factor(change, correlation=base.correlation[here], own_share=base.own_share[:, here])
     power = np.abs(change.vector_change) ** 2
     noise = np.where(np.isnan(power), 0.0, lines[0].vector_error ** 2 + lines[1].vector_error ** 2)
-    if factor is None or np.nansum(power) < 9 * 2 * noise.sum():
+    if np.isnan(power).all() or np.nansum(power) < 9 * 2 * noise.sum():
         return "the added mass changed nothing that stands clear of the noise: use a heavier one"
+    factor = mass_factor(change, correlation=base.correlation[here], own_share=base.own_share[:, here])
     if factor.missed > TRIAL_NUMBERS.largest_misfit_share:
         return (
             f"the residual does not act where the mass was added: no multiple of it explains order {order}, "

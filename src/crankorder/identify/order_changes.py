@@ -12,23 +12,22 @@ import numpy as np
 import xarray as xr
 from scipy.special import fdtrc, stdtr
 
-from crankorder.comparison import LineKind, Trend
+from crankorder.comparison import LineKind, SpeedPair, Trend
 from crankorder.findings import Findings, OrderFinding
 from crankorder.identify.envelope_lines import Spectra, spectra_of
 from crankorder.orders.intervals import (
-    LOCATED,
-    WHOLE,
     claimed,
     error_of,
     half_width,
     half_widths,
     interval,
     known_freedom,
+    phases_compare,
     positive_interval,
     simes,
 )
 from crankorder.quantities import Bools, Complexes, Floats, Ints
-from crankorder.records import Document, known
+from crankorder.records import Document, finite, known
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-changes.toml", "order_changes")
@@ -296,47 +295,47 @@ def _by_energy(order_map: xr.Dataset, values: Any, peak: int, at: Ints) -> Line:
 
 
 def order_changes(
-    base: xr.Dataset,
-    new: xr.Dataset,
-    orders: Sequence[tuple[float, bool]],
-    channels: Sequence[str],
-    *,
-    within_rpm: float,
-    q: float,
-    phases: bool = True,
-) -> list[OrderChange]:
-    """Change of each order in each channel between two tests, with claims at a false-discovery rate.
+    base: Tested, new: Tested, channels: Sequence[str], *, within_rpm: float, q: float, phases: bool
+) -> tuple[tuple[SpeedPair, ...], list[tuple[float, bool]], list[OrderChange]]:
+    """Speeds and orders that are compared, and the change of each order in each channel, with claims.
+
+    Nothing is compared where either test has no OrderMap.
 
     Parameters
     ----------
-    base, new : OrderMaps
-    orders : orders with whether they are locked, as of :func:`orders_to_compare`
-    channels : names of channels that both maps have in the same unit
+    base, new : the two tests
+    channels : names of channels that both have in the same unit
     within_rpm : largest difference of speeds that are compared, min-1
     q : false-discovery rate of the claims, 0 to 1: over orders and channels, and over all their speeds
     phases : False where the marks from which phases count are not the same place in both tests
     """
-    pairs = like_speeds(base["speed"].values, new["speed"].values, within_rpm=within_rpm)
-    rpm = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
-    unit = dict(zip(base["channel"].values.tolist(), base["unit"].values.tolist(), strict=True))
+    maps = order_maps((base, new))
+    if not maps:
+        return (), [], []
+    at = like_speeds(maps[0]["speed"].values, maps[1]["speed"].values, within_rpm=within_rpm)
+    rpm = [order_map["speed"].values[rows] for order_map, rows in zip(maps, at, strict=True)]
+    speeds = tuple(SpeedPair(base_rpm=finite(a), new_rpm=finite(b)) for a, b in zip(*rpm, strict=True))
+    highest = min(float(order_map["order"].values[-1]) for order_map in maps)
+    orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
+    unit = dict(zip(maps[0]["channel"].values.tolist(), maps[0]["unit"].values.tolist(), strict=True))
     changes: list[OrderChange] = []
-    for channel in channels if len(pairs[0]) else ():
+    for channel in channels if speeds else ():
         for order, locked in orders:
-            with_phases = phases and locked and _phases_compare(base, new, order)
+            with_phases = phases and locked and bool(phases_compare(maps, np.float64(order)))
             read = partial(line_of, channel=channel, order=order, locked=locked, phases=with_phases)
-            lines = [read(order_map, at=at) for order_map, at in zip((base, new), pairs, strict=True)]
-            if all(np.isfinite(line.amplitude).any() for line in lines):
-                after = _for_speed(base, pairs[0], np.abs(rpm[1] - rpm[0]), lines[1], read)
-                changes.append(OrderChange(*rpm, lines[0], after, channel, order, str(unit[channel]), locked))
+            before, after = (read(order_map, at=rows) for order_map, rows in zip(maps, at, strict=True))
+            if np.isfinite(before.amplitude).any() and np.isfinite(after.amplitude).any():
+                after = _for_speed(maps[0], at[0], np.abs(rpm[1] - rpm[0]), after, read)
+                changes.append(OrderChange(rpm[0], rpm[1], before, after, channel, order, str(unit[channel]), locked))
     if not changes:
-        return changes
+        return speeds, orders, changes
     of_amplitude = [replace(c, base=c.base.without_phasor, new=c.new.without_phasor) for c in changes]
     whole, size = (claimed(np.array([c.p_all for c in each]), q=q) for each in (changes, of_amplitude))
     by_speed = claimed(np.stack([c.p_value for c in changes]), q=q)
-    return [
-        replace(c, changed=bool(claim), changed_at=at, phase_only=bool(claim and not by_size))
-        for c, claim, by_size, at in zip(changes, whole, size, by_speed, strict=True)
-    ]
+    return speeds, orders, [
+        replace(c, changed=bool(claim), changed_at=claims, phase_only=bool(claim and not by_size))
+        for c, claim, by_size, claims in zip(changes, whole, size, by_speed, strict=True)
+    ]  # fmt: skip
 
 
 def _for_speed(base: xr.Dataset, at: Ints, apart: Floats, new: Line, read: Callable[..., Line]) -> Line:
@@ -356,13 +355,6 @@ def _for_speed(base: xr.Dataset, at: Ints, apart: Floats, new: Line, read: Calla
         slopes[known] = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
         added.append(slopes[at] * apart)
     return replace(new, error=np.hypot(new.error, added[0]), vector_error=np.hypot(new.vector_error, added[1]))
-
-
-def _phases_compare(base: xr.Dataset, new: xr.Dataset, order: float) -> bool:
-    marks = {str(order_map.attrs.get("phase_reference")) for order_map in (base, new)}
-    whole = abs(order - round(order)) < WHOLE
-    known = all(int(order_map.attrs.get("cycle_known", 0)) for order_map in (base, new))
-    return len(marks) == 1 and marks <= set(LOCATED) and (whole or known)
 
 
 def welch(error: Floats, freedom: Floats, error2: Floats, freedom2: Floats) -> tuple[Floats, Floats]:
