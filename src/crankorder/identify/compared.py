@@ -74,11 +74,10 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     """
     base, new = tests[0], tests[-1]
     doubts = confounds(base, new)
-    invalid = [doubt for doubt in doubts if doubt.severity == "invalid" and doubt.part == "channel"]
-    refused = {doubt.channel: doubt.words for doubt in invalid}
+    refused = {doubt.channel: doubt.words for doubt in doubts if (doubt.severity, doubt.part) == ("invalid", "channel")}
     channels = [channel.name for channel in base.findings.channels if channel.name not in refused]
     within = max(float(test.run["settings"]["orders"]["speed_bin_rpm"]) for test in (base, new))
-    phases = not any(doubt.part == "phases" and doubt.severity == "weakens" for doubt in doubts)
+    phases = not any((doubt.severity, doubt.part) == ("weakens", "phases") for doubt in doubts)
     speeds, orders, changes = order_changes(base, new, channels, within_rpm=within, q=q, phases=phases)
     modes = _mode_shifts(base.findings, new.findings) if "modes" in base.comparable & new.comparable else []
     units = [{channel.name: channel.unit for channel in test.findings.channels} for test in tests]
@@ -86,7 +85,6 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     unbalances = [found for c in changes if c.order in (1.0, 2.0) and (found := unbalance_change(c))]
     explaining = [factor for record, factor in unbalances if record.explains]
     trial, trial_reason = _trial_mass(base, new)
-    trends = run_trends(tests, orders, shared, within_rpm=within)
     compared_channels = (
         ChannelCompared(name=name, unit=unit, compared=name in channels, reason=refused.get(name, ""))
         for name, unit in {**units[-1], **units[0]}.items()
@@ -101,7 +99,7 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
         modes=tuple(sorted(_with_claims(modes, q=q), key=lambda mode: mode.frequency_hz)),
         unbalance=tuple(record for record, _ in unbalances), trial_mass=trial, trial_mass_reason=trial_reason,
         balance=balance_changes(base.findings, new.findings, explaining), balance_reason=why_not,
-        trend=tuple(_with_claims(trends, q=q)), confounds=tuple(doubts),
+        trend=tuple(_with_claims(run_trends(tests, orders, shared, within_rpm=within), q=q)), confounds=tuple(doubts),
     )  # fmt: skip
     datasets = {"order_change": _order_dataset(changes)} if changes else {}
     return Compared(replace(document, cause=_explanation(document)), datasets)
@@ -260,7 +258,13 @@ def _order_dataset(changes: Sequence[OrderChange]) -> xr.Dataset:
 
 CONFOUND_NUMBERS = MethodNumbers("5-identify-changes.toml", "confounds")
 
-_RULES: tuple[tuple[str, str, Severity, Part, str], ...] = (
+
+def _speeds_text(order_map: xr.Dataset) -> str:
+    rpm = order_map["speed"].values[np.isfinite(order_map["speed"].values)]
+    return f"{len(rpm)} speeds, {rpm.min():.0f} to {rpm.max():.0f} rpm" if len(rpm) else "not known"
+
+
+_RULES: tuple[tuple[str, str | Callable[[xr.Dataset], Any], Severity, Part, str], ...] = (
     ("sampling domain", "manifest.sampling.domain", "weakens", "all",
      "data by crank angle have no filter in front: fixed frequencies fold into their orders"),
     ("sampling rate", "manifest.sampling.rate_hz", "weakens", "all",
@@ -291,21 +295,13 @@ _RULES: tuple[tuple[str, str, Severity, Part, str], ...] = (
      "another window widens the peaks to which natural frequencies are fitted"),
     ("highest frequency", "settings.campbell.max_frequency_hz", "harmless", "all",
      "natural frequencies above the lower are sought in one test only"),
-)  # fmt: skip
-
-
-def _speeds_text(order_map: xr.Dataset) -> str:
-    rpm = order_map["speed"].values[np.isfinite(order_map["speed"].values)]
-    return f"{len(rpm)} speeds, {rpm.min():.0f} to {rpm.max():.0f} rpm" if len(rpm) else "not known"
-
-
-_MAP_RULES: tuple[tuple[str, Callable[[xr.Dataset], str], Severity, Part, str], ...] = (
-    ("highest order", lambda order_map: f"{float(order_map['order'].values[-1]):g}", "harmless", "orders",
+    ("highest order", lambda order_map: float(order_map["order"].values[-1]), "harmless", "orders",
      "orders are compared up to the lower"),
     ("phase reference", lambda order_map: str(order_map.attrs.get("phase_reference")), "weakens", "phases",
      "phases count from other marks: amplitudes only are compared"),
     ("speeds", _speeds_text, "weakens", "all", "only speeds that both have are compared; nothing is interpolated"),
 )  # fmt: skip
+"""What differs, its path in run.json or how an order map tells it, what it does, to which part, and why."""
 
 
 _CHANNEL_RULES: tuple[tuple[str, Severity, str], ...] = (
@@ -320,28 +316,22 @@ _CHANNEL_RULES: tuple[tuple[str, Severity, str], ...] = (
 
 def confounds(base: Tested, new: Tested) -> list[Confound]:
     """Everything that differs in how the tests ``base`` and ``new`` were made, the worst first."""
-    tests = (base, new)
-    differences = [
-        _confound(what, severity, part, [_text(value) for value in values], words)
-        for what, path, severity, part, words in _RULES
-        if (values := [_at(test, path) for test in tests]) and values[0] != values[1]
-    ]
-    differences += [
-        _confound(what, severity, part, values, words)
-        for what, text, severity, part, words in _MAP_RULES
-        if (values := list(map(text, order_maps(tests)))) and values[0] != values[1]
-    ]
+    tests, maps = (base, new), order_maps((base, new))
+    differences: list[Confound] = []
+    for what, source, severity, part, words in _RULES:
+        values = [_at(test, source) for test in tests] if isinstance(source, str) else list(map(source, maps))
+        if values[:1] != values[1:]:
+            differences.append(_confound(what, severity, part, values, words))
     for concerns in (_channels, _maps, _firing, _repeats, _quality, _versions, _same_inputs):
         differences += concerns(tests)
     return sorted(differences, key=lambda confound: get_args(Severity).index(confound.severity))
 
 
 Tests = tuple[Tested, Tested]
-Values = tuple[str, str] | list[str]
 
 
-def _confound(what: str, severity: Severity, part: Part, values: Values, words: str, channel: str = "") -> Confound:
-    base, new = values
+def _confound(what: str, severity: Severity, part: Part, values: list[Any], words: str, channel: str = "") -> Confound:
+    base, new = map(_text, values)
     return Confound(what=what, severity=severity, part=part, channel=channel, base=base, new=new, words=words)
 
 
@@ -366,7 +356,7 @@ def _channels(tests: Tests) -> Iterator[Confound]:
             for key, severity, words in _CHANNEL_RULES:
                 values = [channels[name].get(key) for channels in (base, new)]
                 if values[0] != values[1]:
-                    yield _confound(key, severity, "channel", [_text(value) for value in values], words, name)
+                    yield _confound(key, severity, "channel", values, words, name)
         else:
             where, there = ("first", ["measured", "missing"]) if name in base else ("second", ["missing", "measured"])
             yield _confound("channel", "invalid", "channel", there, f"only the {where} test has this channel", name)
@@ -381,7 +371,7 @@ def _maps(tests: Tests) -> Iterator[Confound]:
         yield _confound("order map", "invalid", "orders", held, words)
     if counts and max(counts) > CONFOUND_NUMBERS.few_frames_ratio * max(min(counts), 1):
         words = "the intervals allow for it: small changes may hide in the shorter test"
-        yield _confound("frames averaged", "harmless", "all", list(map(str, counts)), words)
+        yield _confound("frames averaged", "harmless", "all", counts, words)
 
 
 def _firing(tests: Tests) -> Iterator[Confound]:
@@ -390,12 +380,11 @@ def _firing(tests: Tests) -> Iterator[Confound]:
     names = [f"{_at(test, 'test') or ''} {_at(test, 'manifest.test.engine') or ''}".casefold() for test in tests]
     kinds = {"firing": "firing", "fired": "firing", "motor": "motoring"}
     states = [next((state for word, state in kinds.items() if word in name), "") for name in names]
-    levels = [_pressure(test.maps["order_map"]) if "order_map" in test.maps else 0.0 for test in tests]
+    levels = [_pressure(order_map) for order_map in order_maps(tests)] or [0.0]
     if all(states) and states[0] != states[1]:
         yield _confound(FIRING, "weakens", "all", states, words)
     elif min(levels) > 0 and max(levels) > CONFOUND_NUMBERS.fired_ratio * min(levels):
-        values = [f"{level:.3g} (median)" for level in levels]
-        yield _confound("pressure of the cycle", "weakens", "all", values, words)
+        yield _confound("pressure of the cycle", "weakens", "all", [f"{level:.3g} (median)" for level in levels], words)
 
 
 def _pressure(order_map: xr.Dataset) -> float:
@@ -407,12 +396,11 @@ def _pressure(order_map: xr.Dataset) -> float:
 
 def _repeats(tests: Tests) -> Iterator[Confound]:
     """Whether recordings were repeated at a speed: only then is known by how much a test differs from itself."""
-    if not all({"shaft", "order_map"} <= set(test.maps) for test in tests):
-        return
-    counts = [(test.maps["shaft"].sizes["recording"], test.maps["order_map"].sizes["speed"]) for test in tests]
+    held = [test.maps for test in tests if {"shaft", "order_map"} <= set(test.maps)]
+    counts = [(maps["shaft"].sizes["recording"], maps["order_map"].sizes["speed"]) for maps in held]
     values = [f"{recordings} recordings at {speeds} speeds" for recordings, speeds in counts]
     words = "intervals hold for the recordings: by how much a test differs when it is set up again, they do not know"
-    if any(recordings <= speeds for recordings, speeds in counts):
+    if len(held) == len(tests) and any(recordings <= speeds for recordings, speeds in counts):
         yield _confound(REPEATS, "weakens", "all", values, words)
 
 
@@ -431,14 +419,13 @@ def _versions(tests: Tests) -> Iterator[Confound]:
     codes = [_at(test, "code_sha256") for test in tests]
     base, new = (_at(test, "versions") or {} for test in tests)
     if codes[0] != codes[1]:
-        programs = zip((base.get("crankorder"), new.get("crankorder")), codes, strict=True)
-        values = [f"{version} ({str(code)[:8]})" for version, code in programs]
+        values = [f"{of.get('crankorder')} ({str(code)[:8]})" for of, code in zip((base, new), codes, strict=True)]
         words = "analysed by other versions of the program: run both again with one"
         yield _confound(PROGRAM, "weakens", "all", values, words)
         return
     for name, version in base.items():
         if version != new.get(name):
-            yield _confound(f"library {name}", "harmless", "all", (_text(version), _text(new.get(name))), "")
+            yield _confound(f"library {name}", "harmless", "all", [version, new.get(name)], "")
 
 
 def _same_inputs(tests: Tests) -> Iterator[Confound]:

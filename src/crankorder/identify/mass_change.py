@@ -350,11 +350,9 @@ def _line(measured: MeasuredOrders, rows: Ints) -> Line:
 def _of_crank(record: TrialBalance, factor: MassFactor, total: complex) -> TrialBalance:
     multiple, error = factor.multiple
     covariance = (abs(total) * error) ** 2 * np.eye(2)
-    for size, angle, value in (
-        ("residual_rotating_gmm", "angle_deg", multiple),
-        ("residual_after_gmm", "angle_after_deg", multiple + 1.0),
-    ):
-        record = size_and_angle(record, size, angle, value * total, covariance, freedom=factor.freedom)
+    for name, angle, value in (("rotating", "angle_deg", multiple), ("after", "angle_after_deg", multiple + 1.0)):
+        key = f"residual_{name}_gmm"
+        record = size_and_angle(record, key, angle, value * total, covariance, freedom=factor.freedom)
     pistons = "a mass on the crank tells nothing about masses that go up and down: add one on the piston"
     undecided = dict.fromkeys(("residual_reciprocating_g", "residual_second_order_g", "along_g"), pistons)
     undecided["reverse_gmm"] = "a mass on the crank turns forwards: all is taken to turn with the shaft"

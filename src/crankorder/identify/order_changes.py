@@ -95,8 +95,7 @@ class Line:
         return np.asarray(np.sqrt(np.maximum(self.amplitude**2 - np.square(self.noise), 0.25 * self.amplitude**2)))
 
 
-@dataclass(frozen=True)
-class MeanRatio:
+class MeanRatio(NamedTuple):
     """Weighted mean over the speeds of an order's ratio [dB], 95 % interval, p-values of "1" and of "alike at all"."""
 
     ratio_db: float
@@ -400,8 +399,24 @@ def run_trends(
     channels : names that all runs have in the same unit
     within_rpm : largest difference of speeds that are compared, min-1
     """
+    trends: list[Trend | None] = []
     maps = order_maps(tests) if len(tests) >= RUN_NUMBERS.least_runs else []
-    trends = _order_trends(maps, orders, channels, within_rpm) if maps else []
+    speeds = [order_map["speed"].values for order_map in maps]
+    matches = [like_speeds(speeds[0], rpm, within_rpm=within_rpm) for rpm in speeds]
+    to_run = [dict(zip(here.tolist(), there.tolist(), strict=True)) for here, there in matches]
+    together = sorted(set(to_run[0]).intersection(*to_run)) if maps else []
+    at = [np.array([positions[k] for k in together], dtype=np.int64) for positions in to_run]
+    for channel in channels if together else ():
+        for order, locked in orders:
+            lines = [line_of(m, channel, order, k, locked=locked, phases=False) for m, k in zip(maps, at, strict=True)]
+            clear = np.all([line.amplitude > 2.0 * line.error for line in lines], axis=0)
+            if clear.any():  # geometric means over the speeds
+                sizes, errors = np.array([(line.size[clear], line.error[clear]) for line in lines]).swapaxes(0, 1)
+                means = np.exp(np.log(sizes).mean(axis=1))
+                spread = np.sqrt(np.square(errors / sizes).sum(axis=1)) / sizes.shape[1]
+                freedom = float(np.sum([line.freedom[clear].sum() for line in lines]) / len(lines))
+                runs = RunAmplitudes(means, means * spread, max(freedom, 1.0))
+                trends.append(trend_over(runs, line=f"order {order:g}", channel=channel, order=order))
     return [trend for trend in (*trends, *_bearing_trends(tests, channels)) if trend]
 
 
@@ -437,29 +452,6 @@ def trend_over(
         growth_per_run=growth, growth_per_run_ci95=(low, high),
         p_value=float(2.0 * stdtr(known_freedom(freedom), -abs(slope) / error)),
     )  # fmt: skip
-
-
-def _order_trends(
-    maps: Sequence[xr.Dataset], orders: Sequence[tuple[float, bool]], channels: Sequence[str], within_rpm: float
-) -> list[Trend | None]:
-    first = maps[0]["speed"].values
-    matches = [like_speeds(first, order_map["speed"].values, within_rpm=within_rpm) for order_map in maps]
-    to_run = [dict(zip(here.tolist(), there.tolist(), strict=True)) for here, there in matches]
-    together = sorted(set.intersection(*map(set, to_run)))
-    at = [np.array([positions[k] for k in together], dtype=np.int64) for positions in to_run]
-    trends = []
-    for channel in channels if together else ():
-        for order, locked in orders:
-            lines = [line_of(m, channel, order, k, locked=locked, phases=False) for m, k in zip(maps, at, strict=True)]
-            clear = np.all([line.amplitude > 2.0 * line.error for line in lines], axis=0)
-            if clear.any():  # geometric means over the speeds
-                sizes, errors = np.array([(line.size[clear], line.error[clear]) for line in lines]).swapaxes(0, 1)
-                means = np.exp(np.log(sizes).mean(axis=1))
-                spread = np.sqrt(np.square(errors / sizes).sum(axis=1)) / sizes.shape[1]
-                freedom = float(np.sum([line.freedom[clear].sum() for line in lines]) / len(lines))
-                runs = RunAmplitudes(means, means * spread, max(freedom, 1.0))
-                trends.append(trend_over(runs, line=f"order {order:g}", channel=channel, order=order))
-    return trends
 
 
 _LineKey = tuple[str, str, str, str]
