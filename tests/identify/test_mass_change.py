@@ -94,14 +94,11 @@ def test_the_interval_of_the_change_covers_it_in_95_of_100_cases():
 
 
 def test_orders_that_disagree_are_no_one_mass():
-    alike = [MassFactor(1.0, 1.86, 0.01, 1e6), MassFactor(2.0, 1.80, 0.05, 1e6)]
-    assert factor_of(alike, (1.0, 2.0)).value == pytest.approx(1.86, abs=0.01)
-    for other in (MassFactor(2.0, 1.4, 0.05, 1e6), MassFactor(2.0, 1.86 + 0.4j, 0.05, 1e6)):
-        assert factor_of([alike[0], other], (1.0, 2.0)) is None
-    assert factor_of([alike[0], MassFactor(1.0, 1.2, 0.01, 1e6)], (1.0,)) is None  # another way in another channel
-    assert (
-        factor_of([MassFactor(1.0, 1.86 + 0.3j, 0.01, 1e6)], (1.0,)) is None
-    )  # turned: no mass along the cylinder alone
+    first, turned = MassFactor(1.0, 1.86, 0.01, 1e6), MassFactor(1.0, 1.86 + 0.3j, 0.01, 1e6)
+    assert factor_of([first, MassFactor(2.0, 1.80, 0.05, 1e6)], (1.0, 2.0)).value == pytest.approx(1.86, abs=0.01)
+    for order, value in ((2.0, 1.4), (2.0, 1.86 + 0.4j), (1.0, 1.2)):  # the last: another way in another channel
+        assert factor_of([first, MassFactor(order, value, 0.05, 1e6)], sorted({1.0, order})) is None
+    assert factor_of([turned], (1.0,)) is None  # no mass along the cylinder alone
 
 
 def test_without_a_ratio_two_closed_balances_are_subtracted():

@@ -36,7 +36,7 @@ NUMBERS = MethodNumbers("5-identify-changes.toml", "mass_change")
 _STEPS = 500
 
 ONE_CHANNEL = np.ones((1, 1, 1), dtype=np.complex128)
-"""Correlation of its errors, at any number of speeds."""
+"""Correlation of the errors of one channel, at any number of speeds."""
 
 ONE_FACTOR = 13.8
 """99.9 % point of χ² with two degrees of freedom: beyond it two factors are not one."""
@@ -173,15 +173,12 @@ def balance_changes(base: Findings, new: Findings, factors: Sequence[MassFactor]
     """
     changes = []
     for quantity in _QUANTITIES:
-        closed = [_closed(findings.balance, quantity) for findings in (base, new)]
-        orders = _ORDERS_OF.get(quantity, ())
-        factor = factor_of(factors, orders)
-        masses = _by_factor(closed, factor) if factor else None
-        if not masses:
-            orders, (first, second) = (), closed
-            masses = (
-                (first.value, second.value, float(np.hypot(first.error, second.error))) if first and second else None
-            )
+        first, second = (_closed(findings.balance, quantity) for findings in (base, new))
+        factor = factor_of(factors, _ORDERS_OF.get(quantity, ()))
+        masses = _by_factor((first, second), factor) if factor else None
+        orders = _ORDERS_OF[quantity] if masses else ()
+        if not masses and first and second:
+            masses = first.value, second.value, float(np.hypot(first.error, second.error))
         if masses:
             before, after, error = masses
             low, high = interval(after - before, error)

@@ -370,7 +370,7 @@ def welch(error: Floats, freedom: Floats, error2: Floats, freedom2: Floats) -> t
 
 
 def chance_of(mean_square: float, spare: float, freedom: Floats) -> float:
-    """Chance of a larger mean square of ``spare`` residuals over variances, each estimated with its ``freedom``."""
+    """Chance of a larger ``mean_square`` of ``spare`` residuals over variances, each estimated with its ``freedom``."""
     # an estimated variance makes a square over it larger on average, by freedom / (freedom − 2)
     fair = float(np.mean(np.maximum(freedom - 2.0, 0.5) / freedom))
     return float(fdtrc(spare, float(np.sum(freedom)), fair * mean_square))
@@ -427,6 +427,7 @@ def trend_over(
 
     A straight line through the logarithms, weighted by their errors; from three runs on these are widened where the
     runs scatter more than they say, and the interval is Student's.
+    ``line``, ``kind``, ``channel`` and ``order`` name it in the record.
     Source: MSU thesis: re-run the same test, growth means failing.
     """
     sizes, errors, freedom = runs
