@@ -85,7 +85,7 @@ def mass_factor(
 
     It is the maximum-likelihood slope of a line through the origin with errors in both phasors (Fuller 1987,
     Measurement Error Models, sec. 1.3). Its error holds for weights that were estimated from the data (Meier 1953,
-    Biometrics 9, 59) and, where no one factor fits, for the misfit.
+    Biometrics 9, 59); it is widened by the misfit where no one factor fits, or where the order alone tells the errors.
 
     Parameters
     ----------
@@ -98,7 +98,6 @@ def mass_factor(
         for name in ("vector", "vector_error", "freedom")
     )
     seen = np.isfinite(y) & np.isfinite(z) & (y_error >= 0) & (z_error > 0)
-    _, freedom = welch(y_error, freedoms[0], z_error, freedoms[1])
     y, z, y_power, z_power = y[seen], z[seen], y_error[seen] ** 2, z_error[seen] ** 2
     factor, true = complex(np.nan), y
     for _ in range(_STEPS):
@@ -107,6 +106,7 @@ def mass_factor(
         true = (y * z_power + np.conj(factor) * z * y_power) / total
         if abs(factor - last) <= 1e-12 * abs(factor):
             break
+    _, freedom = welch(abs(factor) * y_error, freedoms[0], z_error, freedoms[1])
     pull = np.zeros(seen.shape, dtype=np.complex128)
     pull[seen] = true / np.sqrt(total)
     information = np.abs(pull) ** 2
@@ -119,8 +119,10 @@ def mass_factor(
     of_speed = np.array([freedom[row, k].mean() for k, row in enumerate(seen.T) if row.any()])
     chance = chance_of(mean_square, max(2.0 * len(of_speed) - 2.0, 2.0), of_speed)
     variance, missed = wider * float(scatter) / float(information.sum()) ** 2, 0.0
-    if chance < NUMBERS.fit_chance:
+    # errors that the bins beside tell too are known well enough without the residuals
+    if chance < NUMBERS.fit_chance or np.min(own_share) == 1.0:
         variance *= max(1.0, mean_square)
+    if chance < NUMBERS.fit_chance:
         response = float(np.sum(np.abs(factor * y) ** 2 / total))
         missed = float(np.sqrt(max(misfit - 2 * n, 0.0) / max(response, 1e-300)))
     return MassFactor(change.order, factor, float(np.sqrt(variance)), float(of_speed.sum()), chance, missed)
