@@ -222,7 +222,7 @@ def _by_factor(closed: Sequence[Estimate | None], factor: Estimate) -> tuple[flo
     """
     f = factor.value
     # the mass before, and how fast its change grows with the factor, over that mass
-    ways = ((mass, by, slope) for mass, by, slope in zip(closed, (1.0, f), (1.0, 1.0 / f), strict=True))
+    ways = zip(closed, (1.0, f), (1.0, 1.0 / f), strict=True)
     before = [(Estimate(mass.value / by, mass.error / by), slope) for mass, by, slope in ways if mass]
     if not before or not all(mass.error > 0 for mass, _ in before):
         return None

@@ -320,7 +320,7 @@ def order_changes(
     changes: list[OrderChange] = []
     for channel in channels if speeds else ():
         for order, locked in orders:
-            with_phases = phases and locked and bool(phases_compare(maps, np.float64(order)))
+            with_phases = phases and locked and bool(phases_compare(maps, np.array(order)))
             read = partial(line_of, channel=channel, order=order, locked=locked, phases=with_phases)
             before, after = (read(order_map, at=rows) for order_map, rows in zip(maps, at, strict=True))
             if np.isfinite(before.amplitude).any() and np.isfinite(after.amplitude).any():
