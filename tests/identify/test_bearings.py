@@ -7,7 +7,7 @@ import pytest
 
 from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.identify.bearing_records import bearing_records, races_words
-from crankorder.identify.order_changes import RunAmplitudes, growth_over, run_amplitudes
+from crankorder.identify.order_changes import RunAmplitudes, run_amplitudes, trend_over
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.found_lines import agreed, line
@@ -147,21 +147,21 @@ def test_a_count_of_rolling_elements_gives_no_all_clear_beside_a_line_of_the_env
 
 
 def growth(amplitudes, errors):
-    return growth_over(RunAmplitudes(np.array(amplitudes), np.array(errors)))
+    return trend_over(RunAmplitudes(np.array(amplitudes), np.array(errors)))
 
 
 def undecided(growth):
-    return growth.ci95[0] < 0.0 < growth.ci95[1]
+    return growth.growth_per_run_ci95[0] < 0.0 < growth.growth_per_run_ci95[1]
 
 
 def test_two_runs_are_compared_by_their_errors_alone():
     # ln 1.5 = 0.4055; its standard error is 0.05 sqrt 2
     rise = growth([1.0, 1.5], [0.05, 0.075])
     half = 1.959964 * 0.05 * np.sqrt(2.0)
-    assert rise.per_run == pytest.approx(0.5)
-    assert rise.ci95 == pytest.approx((1.5 * np.exp(-half) - 1.0, 1.5 * np.exp(half) - 1.0), rel=1e-6)
+    assert rise.growth_per_run == pytest.approx(0.5)
+    assert rise.growth_per_run_ci95 == pytest.approx((1.5 * np.exp(-half) - 1.0, 1.5 * np.exp(half) - 1.0), rel=1e-6)
     assert undecided(growth([1.0, 1.05], [0.05, 0.05]))
-    assert growth([1.5, 1.0], [0.05, 0.05]).ci95[1] < 0.0
+    assert growth([1.5, 1.0], [0.05, 0.05]).growth_per_run_ci95[1] < 0.0
 
 
 @pytest.mark.parametrize("n_runs", [2, 5])
@@ -170,10 +170,10 @@ def test_the_interval_covers_the_growth_and_steady_runs_are_rarely_called_growin
     inside = growing = 0
     for _ in range(2000):
         amplitudes = 1.2 ** np.arange(n_runs) * np.exp(0.05 * chance.standard_normal(n_runs))
-        low, high = growth(amplitudes, 0.05 * amplitudes).ci95
+        low, high = growth(amplitudes, 0.05 * amplitudes).growth_per_run_ci95
         inside += low <= 0.2 <= high
         steady = np.exp(0.05 * chance.standard_normal(n_runs))
-        growing += growth(steady, 0.05 * steady).ci95[0] > 0.0
+        growing += growth(steady, 0.05 * steady).growth_per_run_ci95[0] > 0.0
     assert inside / 2000 >= 0.93
     assert growing / 2000 <= 0.035
 
@@ -198,9 +198,9 @@ def test_damage_that_grows_by_half_a_run_is_followed_through_the_envelopes():
         found = bearing_records((), one, bearings=(bearing,), revs_per_cycle=2, settings=SETTINGS.identify)
         assert found[0]["line"] == "BPFO"
         assert found[0]["slip_percent_ci95"][0] < 0.8 < found[0]["slip_percent_ci95"][1]
-    every = growth_over(run_amplitudes(runs, order=order))
-    assert 0.0 < every.ci95[0] < 0.5 < every.ci95[1]
-    ends = growth_over(run_amplitudes([runs[0], runs[3]], order=order))
-    assert 0.0 < ends.ci95[0] < 1.5**3 - 1.0 < ends.ci95[1]
-    assert undecided(growth_over(run_amplitudes([runs[2], runs[2]], order=order)))
+    every = trend_over(run_amplitudes(runs, order=order))
+    assert 0.0 < every.growth_per_run_ci95[0] < 0.5 < every.growth_per_run_ci95[1]
+    ends = trend_over(run_amplitudes([runs[0], runs[3]], order=order))
+    assert 0.0 < ends.growth_per_run_ci95[0] < 1.5**3 - 1.0 < ends.growth_per_run_ci95[1]
+    assert undecided(trend_over(run_amplitudes([runs[2], runs[2]], order=order)))
     assert run_amplitudes(runs, order=7.37).amplitudes.size == 0

@@ -7,7 +7,7 @@ import pytest
 
 from crankorder.findings import BearingFinding, OrderFinding
 from crankorder.identify.compared import compared
-from crankorder.identify.order_changes import Line, OrderChange, like_speeds, mean_ratio, orders_to_compare
+from crankorder.identify.order_changes import Line, OrderChange, like_speeds, orders_to_compare
 from made.two_tests import SPEEDS_RPM, made_test
 from made.typed import record_of
 
@@ -55,7 +55,8 @@ def test_the_mean_ratio_over_speeds_covers_the_truth_whatever_the_noise_of_each_
     rng, n, inside = np.random.default_rng(2), 800, 0
     true = np.array([3.0, 6.0, 10.0, 20.0]) * np.exp(1j * np.arange(4))
     for _ in range(n):
-        low, high = mean_ratio(measured(rng, true, scatter=0.8), measured(rng, 2.0 * true, scatter=0.8)).ci95_db
+        lines = measured(rng, true, scatter=0.8), measured(rng, 2.0 * true, scatter=0.8)
+        low, high = OrderChange(np.ones(4), np.ones(4), *lines).mean.ci95_db
         inside += low <= 20 * np.log10(2.0) <= high
     assert inside / n == pytest.approx(0.95, abs=0.025)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crankorder.identify.mass_change import Factor, balance_changes, factor_of, unbalance_change
+from crankorder.identify.mass_change import MassFactor, balance_changes, factor_of, unbalance_change
 from crankorder.identify.order_changes import Line, OrderChange
 from made.typed import from_dicts
 
@@ -85,7 +85,7 @@ def test_the_interval_of_the_change_covers_it_in_95_of_100_cases():
         error = rng.uniform(0.01, 0.1, 3) * (before, after, after / before)
         known = closed("along_g", before + error[0] * rng.standard_normal(), error[0])
         ratio = after / before + error[2] * complex(*rng.standard_normal(2))
-        records = balance_changes(known, {"balance": None}, [Factor(1.0, ratio, error[2], 1e6)])
+        records = balance_changes(known, {"balance": None}, [MassFactor(1.0, ratio, error[2], 1e6)])
         for record in records:  # one ratio in some thousands is taken for a turned one and refused
             low, high = record.change_ci95
             held.append(low <= after - before <= high)
@@ -94,12 +94,11 @@ def test_the_interval_of_the_change_covers_it_in_95_of_100_cases():
 
 
 def test_orders_that_disagree_are_no_one_mass():
-    alike = [Factor(1.0, 1.86, 0.01, 1e6), Factor(2.0, 1.80, 0.05, 1e6)]
-    assert factor_of(alike, (1.0, 2.0)).value == pytest.approx(1.86, abs=0.01)
-    for other in (Factor(2.0, 1.4, 0.05, 1e6), Factor(2.0, 1.86 + 0.4j, 0.05, 1e6)):
-        assert factor_of([alike[0], other], (1.0, 2.0)) is None
-    assert factor_of([alike[0], Factor(1.0, 1.2, 0.01, 1e6)], (1.0,)) is None  # another way in another channel
-    assert factor_of([Factor(1.0, 1.86 + 0.3j, 0.01, 1e6)], (1.0,)) is None  # turned: no mass along the cylinder alone
+    first, turned = MassFactor(1.0, 1.86, 0.01, 1e6), MassFactor(1.0, 1.86 + 0.3j, 0.01, 1e6)
+    assert factor_of([first, MassFactor(2.0, 1.80, 0.05, 1e6)], (1.0, 2.0)).value == pytest.approx(1.86, abs=0.01)
+    for order, value in ((2.0, 1.4), (2.0, 1.86 + 0.4j), (1.0, 1.2)):  # the last: another way in another channel
+        assert factor_of([first, MassFactor(order, value, 0.05, 1e6)], sorted({1.0, order})) is None
+    assert factor_of([turned], (1.0,)) is None  # no mass along the cylinder alone
 
 
 def test_without_a_ratio_two_closed_balances_are_subtracted():

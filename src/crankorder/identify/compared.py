@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
@@ -29,9 +29,7 @@ from crankorder.comparison import (
     OrderChangeRecord,
     Part,
     Severity,
-    SpeedPair,
     Trend,
-    UnbalanceRecord,
 )
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import AddedMass
@@ -45,7 +43,6 @@ from crankorder.identify.order_changes import (
     like_speeds,
     order_changes,
     order_maps,
-    orders_to_compare,
     run_trends,
 )
 from crankorder.orders.intervals import claimed, error_of, interval
@@ -77,21 +74,17 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     """
     base, new = tests[0], tests[-1]
     doubts = confounds(base, new)
-    invalid = [doubt for doubt in doubts if doubt.severity == "invalid" and doubt.part == "channel"]
-    refused = {doubt.channel: doubt.words for doubt in invalid}
+    refused = {doubt.channel: doubt.words for doubt in doubts if (doubt.severity, doubt.part) == ("invalid", "channel")}
     channels = [channel.name for channel in base.findings.channels if channel.name not in refused]
     within = max(float(test.run["settings"]["orders"]["speed_bin_rpm"]) for test in (base, new))
-    speeds, orders, changes = _orders(base, new, channels, doubts, within=within, q=q)
+    phases = not any((doubt.severity, doubt.part) == ("weakens", "phases") for doubt in doubts)
+    speeds, orders, changes = order_changes(base, new, channels, within_rpm=within, q=q, phases=phases)
     modes = _mode_shifts(base.findings, new.findings) if "modes" in base.comparable & new.comparable else []
     units = [{channel.name: channel.unit for channel in test.findings.channels} for test in tests]
     shared = [name for name in channels if all(of_test.get(name) == units[0][name] for of_test in units)]
     unbalances = [found for c in changes if c.order in (1.0, 2.0) and (found := unbalance_change(c))]
-    records = tuple(record for record, _ in unbalances)
     explaining = [factor for record, factor in unbalances if record.explains]
     trial, trial_reason = _trial_mass(base, new)
-    order_records = tuple(_order_record(change, _explained(change, base, new)) for change in changes)
-    mode_records = tuple(sorted(_with_claims(modes, q=q), key=lambda mode: mode.frequency_hz))
-    trends = tuple(_with_claims(run_trends(tests, orders, shared, within_rpm=within), q=q))
     compared_channels = (
         ChannelCompared(name=name, unit=unit, compared=name in channels, reason=refused.get(name, ""))
         for name, unit in {**units[-1], **units[0]}.items()
@@ -100,13 +93,16 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     why_not = "" if closed else new.findings.balance_reason or base.findings.balance_reason or ""
     document = Comparison(
         schema_version=SCHEMA_VERSION, base=base.name, new=new.name, runs=tuple(test.name for test in tests),
-        false_discovery_rate=q, headline=(), cause=_explanation(order_records, mode_records, records, trends),
-        speeds=speeds, channels=tuple(compared_channels), orders=order_records,
-        modes=mode_records, unbalance=records, trial_mass=trial, trial_mass_reason=trial_reason,
+        false_discovery_rate=q, headline=(), cause=Explanation(cause="not comparable", orders=()), speeds=speeds,
+        channels=tuple(compared_channels),
+        orders=tuple(_order_record(change, _explained(change, base, new)) for change in changes),
+        modes=tuple(sorted(_with_claims(modes, q=q), key=lambda mode: mode.frequency_hz)),
+        unbalance=tuple(record for record, _ in unbalances), trial_mass=trial, trial_mass_reason=trial_reason,
         balance=balance_changes(base.findings, new.findings, explaining), balance_reason=why_not,
-        trend=trends, confounds=tuple(doubts),
+        trend=tuple(_with_claims(run_trends(tests, orders, shared, within_rpm=within), q=q)), confounds=tuple(doubts),
     )  # fmt: skip
-    return Compared(document, {"order_change": _order_dataset(changes)} if changes else {})
+    datasets = {"order_change": _order_dataset(changes)} if changes else {}
+    return Compared(replace(document, cause=_explanation(document)), datasets)
 
 
 def _with_claims(records: Sequence[R], *, q: float) -> list[R]:
@@ -115,50 +111,25 @@ def _with_claims(records: Sequence[R], *, q: float) -> list[R]:
     return [replace(record, changed=bool(claim)) for record, claim in zip(records, claims, strict=True)]
 
 
-def _orders(
-    base: Tested, new: Tested, channels: Sequence[str], doubts: Sequence[Confound], *, within: float, q: float
-) -> tuple[tuple[SpeedPair, ...], list[tuple[float, bool]], list[OrderChange]]:
-    """Speeds and orders that are compared, and the changes; by amplitude alone where ``doubts`` are of the phases."""
-    maps = order_maps((base, new))
-    if not maps:
-        return (), [], []
-    rpm = [order_map["speed"].values for order_map in maps]
-    pairs = zip(*like_speeds(*rpm, within_rpm=within), strict=True)
-    speeds = tuple(SpeedPair(base_rpm=finite(rpm[0][at]), new_rpm=finite(rpm[1][to])) for at, to in pairs)
-    highest = min(float(order_map["order"].values[-1]) for order_map in maps)
-    orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
-    phases = not any(doubt.part == "phases" and doubt.severity == "weakens" for doubt in doubts)
-    changes = order_changes(maps[0], maps[1], orders, channels, within_rpm=within, q=q, phases=phases)
-    return speeds, orders, changes
-
-
-def _explanation(
-    records: Sequence[OrderChangeRecord],
-    modes: Sequence[ModeShift],
-    unbalances: Sequence[UnbalanceRecord],
-    trends: Sequence[Trend],
-) -> Explanation:
+def _explanation(comparison: Comparison) -> Explanation:
     """What explains the changes best: the cause in one word or two, and the orders that it concerns."""
-    changed = [record for record in records if record.changed]
+    changed = [record for record in comparison.orders if record.changed]
     orders = tuple(sorted({record.order for record in changed}))
-    grown = tuple(sorted({trend.order for trend in trends if trend.grows}))
-    explained = any(unbalance.explains for unbalance in unbalances)
-    cause: Cause = "orders"
-    if not (records or any(mode.only_in is None for mode in modes)):
-        cause = "not comparable"
-    elif not orders and grown:
-        cause, orders = "growing line", grown
-    elif not orders and any(mode.changed for mode in modes):
-        cause = "natural frequencies"
-    elif not orders:
-        cause = "nothing changed"
-    elif orders == (1.0,) and explained:
-        cause = "unbalance"
-    elif all(record.phase_only for record in changed):  # a mark that moved, rather than masses
-        cause = "orders"
-    elif set(orders) <= {1.0, 2.0} and explained:
-        cause = "moving masses"
-    return Explanation(cause=cause, orders=orders)
+    grown = tuple(sorted({trend.order for trend in comparison.trend if trend.grows}))
+    compared_modes = [mode for mode in comparison.modes if mode.only_in is None]
+    explained = any(unbalance.explains for unbalance in comparison.unbalance)
+    moved_mark = all(record.phase_only for record in changed)  # rather than masses
+    causes: tuple[tuple[Cause, bool], ...] = (
+        ("not comparable", not (comparison.orders or compared_modes)),
+        ("growing line", not orders and bool(grown)),
+        ("natural frequencies", not orders and any(mode.changed for mode in compared_modes)),
+        ("nothing changed", not orders),
+        ("unbalance", explained and orders == (1.0,)),
+        ("moving masses", explained and not moved_mark and set(orders) <= {1.0, 2.0}),
+        ("orders", True),
+    )
+    cause = next(cause for cause, holds in causes if holds)
+    return Explanation(cause=cause, orders=grown if cause == "growing line" else orders)
 
 
 def _explained(change: OrderChange, base: Tested, new: Tested) -> str | None:
@@ -287,7 +258,13 @@ def _order_dataset(changes: Sequence[OrderChange]) -> xr.Dataset:
 
 CONFOUND_NUMBERS = MethodNumbers("5-identify-changes.toml", "confounds")
 
-_RULES: tuple[tuple[str, str, Severity, Part, str], ...] = (
+
+def _speeds_text(order_map: xr.Dataset) -> str:
+    rpm = order_map["speed"].values[np.isfinite(order_map["speed"].values)]
+    return f"{len(rpm)} speeds, {rpm.min():.0f} to {rpm.max():.0f} rpm" if len(rpm) else "not known"
+
+
+_RULES: tuple[tuple[str, str | Callable[[xr.Dataset], Any], Severity, Part, str], ...] = (
     ("sampling domain", "manifest.sampling.domain", "weakens", "all",
      "data by crank angle have no filter in front: fixed frequencies fold into their orders"),
     ("sampling rate", "manifest.sampling.rate_hz", "weakens", "all",
@@ -318,7 +295,13 @@ _RULES: tuple[tuple[str, str, Severity, Part, str], ...] = (
      "another window widens the peaks to which natural frequencies are fitted"),
     ("highest frequency", "settings.campbell.max_frequency_hz", "harmless", "all",
      "natural frequencies above the lower are sought in one test only"),
+    ("highest order", lambda order_map: float(order_map["order"].values[-1]), "harmless", "orders",
+     "orders are compared up to the lower"),
+    ("phase reference", lambda order_map: str(order_map.attrs.get("phase_reference")), "weakens", "phases",
+     "phases count from other marks: amplitudes only are compared"),
+    ("speeds", _speeds_text, "weakens", "all", "only speeds that both have are compared; nothing is interpolated"),
 )  # fmt: skip
+"""What differs, its path in run.json or how an order map tells it, what it does, to which part, and why."""
 
 
 _CHANNEL_RULES: tuple[tuple[str, Severity, str], ...] = (
@@ -333,23 +316,22 @@ _CHANNEL_RULES: tuple[tuple[str, Severity, str], ...] = (
 
 def confounds(base: Tested, new: Tested) -> list[Confound]:
     """Everything that differs in how the tests ``base`` and ``new`` were made, the worst first."""
-    tests = (base, new)
-    differences = [
-        _confound(what, severity, part, [_text(value) for value in values], words)
-        for what, path, severity, part, words in _RULES
-        if (values := [_at(test, path) for test in tests]) and values[0] != values[1]
-    ]
+    tests, maps = (base, new), order_maps((base, new))
+    differences: list[Confound] = []
+    for what, source, severity, part, words in _RULES:
+        values = [_at(test, source) for test in tests] if isinstance(source, str) else list(map(source, maps))
+        if values[:1] != values[1:]:
+            differences.append(_confound(what, severity, part, values, words))
     for concerns in (_channels, _maps, _firing, _repeats, _quality, _versions, _same_inputs):
         differences += concerns(tests)
     return sorted(differences, key=lambda confound: get_args(Severity).index(confound.severity))
 
 
 Tests = tuple[Tested, Tested]
-Values = tuple[str, str] | list[str]
 
 
-def _confound(what: str, severity: Severity, part: Part, values: Values, words: str, channel: str = "") -> Confound:
-    base, new = values
+def _confound(what: str, severity: Severity, part: Part, values: list[Any], words: str, channel: str = "") -> Confound:
+    base, new = map(_text, values)
     return Confound(what=what, severity=severity, part=part, channel=channel, base=base, new=new, words=words)
 
 
@@ -374,35 +356,22 @@ def _channels(tests: Tests) -> Iterator[Confound]:
             for key, severity, words in _CHANNEL_RULES:
                 values = [channels[name].get(key) for channels in (base, new)]
                 if values[0] != values[1]:
-                    yield _confound(key, severity, "channel", [_text(value) for value in values], words, name)
+                    yield _confound(key, severity, "channel", values, words, name)
         else:
             where, there = ("first", ["measured", "missing"]) if name in base else ("second", ["missing", "measured"])
             yield _confound("channel", "invalid", "channel", there, f"only the {where} test has this channel", name)
 
 
 def _maps(tests: Tests) -> Iterator[Confound]:
-    """Highest order, speeds, frames and phase marks as the order maps have them."""
-    maps = order_maps(tests)
-    if not maps:
-        values = ["held" if "order_map" in test.maps else "missing" for test in tests]
+    """Whether one test alone has an order map, and frames in number."""
+    held = ["held" if "order_map" in test.maps else "missing" for test in tests]
+    counts = [int(order_map["n_frames"].values.sum()) for order_map in order_maps(tests)]
+    if held[0] != held[1]:
         words = "orders are compared where the results of both tests hold an order map"
-        if "held" in values:
-            yield _confound("order map", "invalid", "orders", values, words)
-        return
-    speeds = [order_map["speed"].values[np.isfinite(order_map["speed"].values)] for order_map in maps]
-    ranges = [f"{len(rpm)} speeds, {rpm.min():.0f} to {rpm.max():.0f} rpm" if len(rpm) else "" for rpm in speeds]
-    counts = [int(order_map["n_frames"].values.sum()) for order_map in maps]
-    few = max(counts) > CONFOUND_NUMBERS.few_frames_ratio * max(min(counts), 1)
-    rules: tuple[tuple[str, Severity, Part, list[str], str], ...] = (
-        ("highest order", "harmless", "orders", [f"{float(order_map['order'].values[-1]):g}" for order_map in maps],
-         "orders are compared up to the lower"),
-        ("phase reference", "weakens", "phases", [str(order_map.attrs.get("phase_reference")) for order_map in maps],
-         "phases count from other marks: amplitudes only are compared"),
-        ("speeds", "weakens", "all", ranges, "only speeds that both have are compared; nothing is interpolated"),
-        ("frames averaged", "harmless", "all", [str(n) for n in counts] if few else ["", ""],
-         "the intervals allow for it: small changes may hide in the shorter test"),
-    )  # fmt: skip
-    yield from (_confound(*rule) for rule in rules if all(rule[3]) and rule[3][0] != rule[3][1])
+        yield _confound("order map", "invalid", "orders", held, words)
+    if counts and max(counts) > CONFOUND_NUMBERS.few_frames_ratio * max(min(counts), 1):
+        words = "the intervals allow for it: small changes may hide in the shorter test"
+        yield _confound("frames averaged", "harmless", "all", counts, words)
 
 
 def _firing(tests: Tests) -> Iterator[Confound]:
@@ -411,12 +380,11 @@ def _firing(tests: Tests) -> Iterator[Confound]:
     names = [f"{_at(test, 'test') or ''} {_at(test, 'manifest.test.engine') or ''}".casefold() for test in tests]
     kinds = {"firing": "firing", "fired": "firing", "motor": "motoring"}
     states = [next((state for word, state in kinds.items() if word in name), "") for name in names]
-    levels = [_pressure(test.maps["order_map"]) if "order_map" in test.maps else 0.0 for test in tests]
+    levels = [_pressure(order_map) for order_map in order_maps(tests)] or [0.0]
     if all(states) and states[0] != states[1]:
         yield _confound(FIRING, "weakens", "all", states, words)
     elif min(levels) > 0 and max(levels) > CONFOUND_NUMBERS.fired_ratio * min(levels):
-        values = [f"{level:.3g} (median)" for level in levels]
-        yield _confound("pressure of the cycle", "weakens", "all", values, words)
+        yield _confound("pressure of the cycle", "weakens", "all", [f"{level:.3g} (median)" for level in levels], words)
 
 
 def _pressure(order_map: xr.Dataset) -> float:
@@ -428,12 +396,11 @@ def _pressure(order_map: xr.Dataset) -> float:
 
 def _repeats(tests: Tests) -> Iterator[Confound]:
     """Whether recordings were repeated at a speed: only then is known by how much a test differs from itself."""
-    if not all({"shaft", "order_map"} <= set(test.maps) for test in tests):
-        return
-    counts = [(test.maps["shaft"].sizes["recording"], test.maps["order_map"].sizes["speed"]) for test in tests]
+    held = [test.maps for test in tests if {"shaft", "order_map"} <= set(test.maps)]
+    counts = [(maps["shaft"].sizes["recording"], maps["order_map"].sizes["speed"]) for maps in held]
     values = [f"{recordings} recordings at {speeds} speeds" for recordings, speeds in counts]
     words = "intervals hold for the recordings: by how much a test differs when it is set up again, they do not know"
-    if any(recordings <= speeds for recordings, speeds in counts):
+    if len(held) == len(tests) and any(recordings <= speeds for recordings, speeds in counts):
         yield _confound(REPEATS, "weakens", "all", values, words)
 
 
@@ -452,14 +419,13 @@ def _versions(tests: Tests) -> Iterator[Confound]:
     codes = [_at(test, "code_sha256") for test in tests]
     base, new = (_at(test, "versions") or {} for test in tests)
     if codes[0] != codes[1]:
-        programs = zip((base.get("crankorder"), new.get("crankorder")), codes, strict=True)
-        values = [f"{version} ({str(code)[:8]})" for version, code in programs]
+        values = [f"{of.get('crankorder')} ({str(code)[:8]})" for of, code in zip((base, new), codes, strict=True)]
         words = "analysed by other versions of the program: run both again with one"
         yield _confound(PROGRAM, "weakens", "all", values, words)
         return
     for name, version in base.items():
         if version != new.get(name):
-            yield _confound(f"library {name}", "harmless", "all", (_text(version), _text(new.get(name))), "")
+            yield _confound(f"library {name}", "harmless", "all", [version, new.get(name)], "")
 
 
 def _same_inputs(tests: Tests) -> Iterator[Confound]:

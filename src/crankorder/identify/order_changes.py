@@ -12,22 +12,22 @@ import numpy as np
 import xarray as xr
 from scipy.special import fdtrc, stdtr
 
-from crankorder.comparison import LineKind, Trend
+from crankorder.comparison import LineKind, SpeedPair, Trend
 from crankorder.findings import Findings, OrderFinding
 from crankorder.identify.envelope_lines import Spectra, spectra_of
 from crankorder.orders.intervals import (
-    LOCATED,
-    WHOLE,
     claimed,
     error_of,
     half_width,
     half_widths,
+    interval,
     known_freedom,
+    phases_compare,
     positive_interval,
     simes,
 )
 from crankorder.quantities import Bools, Complexes, Floats, Ints
-from crankorder.records import Document, Ends, known
+from crankorder.records import Document, finite, known
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-changes.toml", "order_changes")
@@ -95,8 +95,7 @@ class Line:
         return np.asarray(np.sqrt(np.maximum(self.amplitude**2 - np.square(self.noise), 0.25 * self.amplitude**2)))
 
 
-@dataclass(frozen=True)
-class MeanRatio:
+class MeanRatio(NamedTuple):
     """Weighted mean over the speeds of an order's ratio [dB], 95 % interval, p-values of "1" and of "alike at all"."""
 
     ratio_db: float
@@ -153,15 +152,12 @@ class OrderChange:
         base, new = self.base, self.new
         with np.errstate(divide="ignore", invalid="ignore"):
             error, freedom = welch(base.error / base.amplitude, base.freedom, new.error / new.amplitude, new.freedom)
-            near = np.log(new.amplitude / base.amplitude)[:, None] + (half_widths(freedom) * error)[:, None] * (
-                -1.0,
-                1.0,
-            )
-            reach = [half_widths(line.freedom, level=0.975) * line.error for line in (base, new)]
-            low = np.maximum(new.amplitude - reach[1], 0.0) / (base.amplitude + reach[0])
-            high = (new.amplitude + reach[1]) / np.maximum(base.amplitude - reach[0], 0.0)
-            far = np.log(np.stack([low, high], axis=1))
-        return np.asarray(np.where((base.clear & new.clear)[:, None], near, far) * TO_DB)
+            near = self.ratio_db[:, None] + TO_DB * (half_widths(freedom) * error)[:, None] * (-1.0, 1.0)
+            reach, new_reach = (half_widths(line.freedom, level=0.975) * line.error for line in (base, new))
+            low = np.maximum(new.amplitude - new_reach, 0.0) / (base.amplitude + reach)
+            high = (new.amplitude + new_reach) / np.maximum(base.amplitude - reach, 0.0)
+            far = TO_DB * np.log(np.stack([low, high], axis=1))
+        return np.asarray(np.where((base.clear & new.clear)[:, None], near, far))
 
     @cached_property
     def p_value(self) -> Floats:
@@ -180,8 +176,30 @@ class OrderChange:
 
     @cached_property
     def mean(self) -> MeanRatio:
-        """Mean over the speeds that show the order clearly in both tests."""
-        return mean_ratio(self.base, self.new)
+        """Mean ratio over the speeds at which both lines are clear of their noise; NaN without such.
+
+        The speeds are these and no sample of others: the error is that of the measurement alone, corrected for weights
+        that are estimated (Meier 1953, Biometrics 9, 59).
+        """
+        kept = self.base.clear & self.new.clear
+        if not kept.any():
+            return MeanRatio(np.nan, (np.nan, np.nan), np.nan, np.nan)
+        (size, relative, of_base), (new_size, new_relative, of_new) = (
+            (line.size[kept], line.error[kept] / line.amplitude[kept], line.freedom[kept])
+            for line in (self.base, self.new)
+        )
+        error, freedom = welch(relative, of_base, new_relative, of_new)
+        values = np.log(new_size / size)
+        values = np.where(np.abs(values) <= EXACT, 0.0, values)
+        weight = 1.0 / np.maximum(error, 1e-12) ** 2
+        share = weight / weight.sum()
+        mean = float(np.sum(share * values))
+        error_of_mean = float(np.sqrt((1.0 + 4.0 * np.sum(share * (1.0 - share) / freedom)) / weight.sum()))
+        degrees = 1.0 / float(np.sum(share**2 / freedom))
+        low, high = interval(mean * TO_DB, error_of_mean * TO_DB, freedom=degrees)
+        spare = len(values) - 1
+        alike = chance_of(float(np.sum(weight * (values - mean) ** 2)) / spare, spare, freedom) if spare else np.nan
+        return MeanRatio(mean * TO_DB, (low, high), float(2.0 * stdtr(degrees, -abs(mean) / error_of_mean)), alike)
 
     @property
     def p_all(self) -> float:
@@ -276,47 +294,47 @@ def _by_energy(order_map: xr.Dataset, values: Any, peak: int, at: Ints) -> Line:
 
 
 def order_changes(
-    base: xr.Dataset,
-    new: xr.Dataset,
-    orders: Sequence[tuple[float, bool]],
-    channels: Sequence[str],
-    *,
-    within_rpm: float,
-    q: float,
-    phases: bool = True,
-) -> list[OrderChange]:
-    """Change of each order in each channel between two tests, with claims at a false-discovery rate.
+    base: Tested, new: Tested, channels: Sequence[str], *, within_rpm: float, q: float, phases: bool
+) -> tuple[tuple[SpeedPair, ...], list[tuple[float, bool]], list[OrderChange]]:
+    """Speeds and orders that are compared, and the change of each order in each channel, with claims.
+
+    Nothing is compared where either test has no OrderMap.
 
     Parameters
     ----------
-    base, new : OrderMaps
-    orders : orders with whether they are locked, as of :func:`orders_to_compare`
-    channels : names of channels that both maps have in the same unit
+    base, new : the two tests
+    channels : names of channels that both have in the same unit
     within_rpm : largest difference of speeds that are compared, min-1
     q : false-discovery rate of the claims, 0 to 1: over orders and channels, and over all their speeds
     phases : False where the marks from which phases count are not the same place in both tests
     """
-    pairs = like_speeds(base["speed"].values, new["speed"].values, within_rpm=within_rpm)
-    rpm = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
-    unit = dict(zip(base["channel"].values.tolist(), base["unit"].values.tolist(), strict=True))
+    maps = order_maps((base, new))
+    if not maps:
+        return (), [], []
+    at = like_speeds(maps[0]["speed"].values, maps[1]["speed"].values, within_rpm=within_rpm)
+    rpm = [order_map["speed"].values[rows] for order_map, rows in zip(maps, at, strict=True)]
+    speeds = tuple(SpeedPair(base_rpm=finite(a), new_rpm=finite(b)) for a, b in zip(*rpm, strict=True))
+    highest = min(float(order_map["order"].values[-1]) for order_map in maps)
+    orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
+    unit = dict(zip(maps[0]["channel"].values.tolist(), maps[0]["unit"].values.tolist(), strict=True))
     changes: list[OrderChange] = []
-    for channel in channels if len(pairs[0]) else ():
+    for channel in channels if speeds else ():
         for order, locked in orders:
-            with_phases = phases and locked and _phases_compare(base, new, order)
+            with_phases = phases and locked and bool(phases_compare(maps, np.array(order)))
             read = partial(line_of, channel=channel, order=order, locked=locked, phases=with_phases)
-            lines = [read(order_map, at=at) for order_map, at in zip((base, new), pairs, strict=True)]
-            if all(np.isfinite(line.amplitude).any() for line in lines):
-                after = _for_speed(base, pairs[0], np.abs(rpm[1] - rpm[0]), lines[1], read)
-                changes.append(OrderChange(*rpm, lines[0], after, channel, order, str(unit[channel]), locked))
+            before, after = (read(order_map, at=rows) for order_map, rows in zip(maps, at, strict=True))
+            if np.isfinite(before.amplitude).any() and np.isfinite(after.amplitude).any():
+                after = _for_speed(maps[0], at[0], np.abs(rpm[1] - rpm[0]), after, read)
+                changes.append(OrderChange(rpm[0], rpm[1], before, after, channel, order, str(unit[channel]), locked))
     if not changes:
-        return changes
+        return speeds, orders, changes
     of_amplitude = [replace(c, base=c.base.without_phasor, new=c.new.without_phasor) for c in changes]
     whole, size = (claimed(np.array([c.p_all for c in each]), q=q) for each in (changes, of_amplitude))
     by_speed = claimed(np.stack([c.p_value for c in changes]), q=q)
-    return [
-        replace(c, changed=bool(claim), changed_at=at, phase_only=bool(claim and not by_size))
-        for c, claim, by_size, at in zip(changes, whole, size, by_speed, strict=True)
-    ]
+    return speeds, orders, [
+        replace(c, changed=bool(claim), changed_at=claims, phase_only=bool(claim and not by_size))
+        for c, claim, by_size, claims in zip(changes, whole, size, by_speed, strict=True)
+    ]  # fmt: skip
 
 
 def _for_speed(base: xr.Dataset, at: Ints, apart: Floats, new: Line, read: Callable[..., Line]) -> Line:
@@ -338,13 +356,6 @@ def _for_speed(base: xr.Dataset, at: Ints, apart: Floats, new: Line, read: Calla
     return replace(new, error=np.hypot(new.error, added[0]), vector_error=np.hypot(new.vector_error, added[1]))
 
 
-def _phases_compare(base: xr.Dataset, new: xr.Dataset, order: float) -> bool:
-    marks = {str(order_map.attrs.get("phase_reference")) for order_map in (base, new)}
-    whole = abs(order - round(order)) < WHOLE
-    known = all(int(order_map.attrs.get("cycle_known", 0)) for order_map in (base, new))
-    return len(marks) == 1 and marks <= set(LOCATED) and (whole or known)
-
-
 def welch(error: Floats, freedom: Floats, error2: Floats, freedom2: Floats) -> tuple[Floats, Floats]:
     """Standard error of a difference and its degrees of freedom, of the shape of the arguments.
 
@@ -358,31 +369,11 @@ def welch(error: Floats, freedom: Floats, error2: Floats, freedom2: Floats) -> t
     return np.sqrt(both), np.maximum(effective, 1.0)
 
 
-def mean_ratio(base: Line, new: Line) -> MeanRatio:
-    """Mean over speeds of the ratio of two lines, of those speeds where both are clear of their noise; else NaN.
-
-    ``base`` and ``new`` are lines at like speeds. The speeds are these and no sample of others: the error is that of
-    the measurement alone, corrected for weights that are estimated (Meier 1953, Biometrics 9, 59).
-    """
-    kept = base.clear & new.clear
-    if not kept.any():
-        return MeanRatio(np.nan, (np.nan, np.nan), np.nan, np.nan)
-    relative, relative2 = (line.error[kept] / line.amplitude[kept] for line in (base, new))
-    error, freedom = welch(relative, base.freedom[kept], relative2, new.freedom[kept])
-    values = np.log(new.size[kept] / base.size[kept])
-    values = np.where(np.abs(values) <= EXACT, 0.0, values)
-    weight = 1.0 / np.maximum(error, 1e-12) ** 2
-    share = weight / weight.sum()
-    mean = float(np.sum(share * values))
-    variance = (1.0 + 4.0 * float(np.sum(share * (1.0 - share) / freedom))) / float(weight.sum())
-    degrees = 1.0 / float(np.sum(share**2 / freedom))
-    half = half_width(degrees) * np.sqrt(variance)
-    p_value = float(2.0 * stdtr(degrees, -abs(mean) / np.sqrt(variance)))
-    spare = len(values) - 1
-    fair = np.maximum(freedom - 2.0, 0.5) / freedom  # an estimated variance makes a square over it larger on average
-    misfit = float(np.sum(fair * weight * (values - mean) ** 2))
-    alike = float(fdtrc(spare, np.sum(freedom), misfit / spare)) if spare else np.nan
-    return MeanRatio(mean * TO_DB, ((mean - half) * TO_DB, (mean + half) * TO_DB), p_value, alike)
+def chance_of(mean_square: float, spare: float, freedom: Floats) -> float:
+    """Chance of a larger ``mean_square`` of ``spare`` residuals over variances, each estimated with its ``freedom``."""
+    # an estimated variance makes a square over it larger on average, by freedom / (freedom − 2)
+    fair = float(np.mean(np.maximum(freedom - 2.0, 0.5) / freedom))
+    return float(fdtrc(spare, float(np.sum(freedom)), fair * mean_square))
 
 
 class RunAmplitudes(NamedTuple):
@@ -394,17 +385,6 @@ class RunAmplitudes(NamedTuple):
     amplitudes: Floats
     errors: Floats
     freedom: float = math.inf
-
-
-class Growth(NamedTuple):
-    """Share by which an amplitude grows per run, its 95 % interval, and the chance of such growth where there is none.
-
-    The chance is one-sided: near 1 for an amplitude that falls.
-    """
-
-    per_run: float
-    ci95: Ends
-    p_value: float
 
 
 def run_trends(
@@ -419,43 +399,14 @@ def run_trends(
     channels : names that all runs have in the same unit
     within_rpm : largest difference of speeds that are compared, min-1
     """
+    trends: list[Trend | None] = []
     maps = order_maps(tests) if len(tests) >= RUN_NUMBERS.least_runs else []
-    trends = _order_trends(maps, orders, channels, within_rpm) if maps else []
-    return [trend for trend in (*trends, *_bearing_trends(tests, channels)) if trend]
-
-
-def _trend(line: str, kind: LineKind, channel: str, order: float, runs: RunAmplitudes) -> Trend | None:
-    """Trend of a line over the ``runs``; None where one of them does not show it."""
-    sizes, errors, freedom = runs
-    if not (len(sizes) and np.all(sizes > 0) and np.all(errors >= 0)):
-        return None
-    growth, half = growth_over(runs), half_width(freedom)
-    return Trend(
-        line=line, kind=kind, channel=channel, order=order, amplitude=tuple(sizes.tolist()),
-        amplitude_ci95=tuple(positive_interval(float(a), half * float(e)) for a, e in zip(sizes, errors, strict=True)),
-        growth_per_run=growth.per_run, growth_per_run_ci95=growth.ci95,
-        p_value=min(1.0, 2.0 * min(growth.p_value, 1.0 - growth.p_value)),
-    )  # fmt: skip
-
-
-def _together(maps: Sequence[xr.Dataset], within_rpm: float) -> list[Ints]:
-    """Positions, in each run, of the speeds that all runs have."""
-    first = maps[0]["speed"].values
-    kept = np.arange(len(first))
-    matches = []
-    for order_map in maps[1:]:
-        at, to = like_speeds(first, order_map["speed"].values, within_rpm=within_rpm)
-        matches.append(dict(zip(at.tolist(), to.tolist(), strict=True)))
-        kept = kept[np.isin(kept, at)]
-    return [kept, *(np.array([match[k] for k in kept.tolist()], dtype=np.int64) for match in matches)]
-
-
-def _order_trends(
-    maps: Sequence[xr.Dataset], orders: Sequence[tuple[float, bool]], channels: Sequence[str], within_rpm: float
-) -> list[Trend | None]:
-    at = _together(maps, within_rpm)
-    trends = []
-    for channel in channels if len(at[0]) else ():
+    speeds = [order_map["speed"].values for order_map in maps]
+    matches = [like_speeds(speeds[0], rpm, within_rpm=within_rpm) for rpm in speeds]
+    to_run = [dict(zip(here.tolist(), there.tolist(), strict=True)) for here, there in matches]
+    together = sorted(set(to_run[0]).intersection(*to_run)) if maps else []
+    at = [np.array([positions[k] for k in together], dtype=np.int64) for positions in to_run]
+    for channel in channels if together else ():
         for order, locked in orders:
             lines = [line_of(m, channel, order, k, locked=locked, phases=False) for m, k in zip(maps, at, strict=True)]
             clear = np.all([line.amplitude > 2.0 * line.error for line in lines], axis=0)
@@ -465,8 +416,43 @@ def _order_trends(
                 spread = np.sqrt(np.square(errors / sizes).sum(axis=1)) / sizes.shape[1]
                 freedom = float(np.sum([line.freedom[clear].sum() for line in lines]) / len(lines))
                 runs = RunAmplitudes(means, means * spread, max(freedom, 1.0))
-                trends.append(_trend(f"order {order:g}", "order", channel, order, runs))
-    return trends
+                trends.append(trend_over(runs, line=f"order {order:g}", channel=channel, order=order))
+    return [trend for trend in (*trends, *_bearing_trends(tests, channels)) if trend]
+
+
+def trend_over(
+    runs: RunAmplitudes, *, line: str = "", kind: LineKind = "order", channel: str = "", order: float = 1.0
+) -> Trend | None:
+    """Trend over the ``runs`` of one test, two or more, by their errors; None where one of them does not show the line.
+
+    A straight line through the logarithms, weighted by their errors; from three runs on these are widened where the
+    runs scatter more than they say, and the interval is Student's.
+    ``line``, ``kind``, ``channel`` and ``order`` name it in the record.
+    Source: MSU thesis: re-run the same test, growth means failing.
+    """
+    sizes, errors, freedom = runs
+    if not (len(sizes) and np.all(sizes > 0) and np.all(errors >= 0)):
+        return None
+    half = half_width(freedom)
+    ends = tuple(positive_interval(float(a), half * float(e)) for a, e in zip(sizes, errors, strict=True))
+    logs, run = np.log(sizes), np.arange(len(sizes), dtype=np.float64)
+    weight = np.maximum(errors / sizes, 1e-9) ** -2.0
+    beside = run - (weight * run).sum() / weight.sum()
+    variance = 1.0 / float((weight * beside**2).sum())
+    slope = float((weight * beside * logs).sum()) * variance
+    if len(run) > 2:
+        rest = logs - (weight * logs).sum() / weight.sum() - slope * beside
+        scatter = float((weight * rest**2).sum()) / (len(run) - 2)
+        if scatter > 1.0:
+            variance, freedom = variance * scatter, len(run) - 2.0
+    error = math.sqrt(variance)
+    half = error * half_width(freedom, level=1.0 - TREND_NUMBERS.no_change_chance)
+    growth, low, high = (math.expm1(min(value, 700.0)) for value in (slope, slope - half, slope + half))
+    return Trend(
+        line=line, kind=kind, channel=channel, order=order, amplitude=tuple(sizes.tolist()), amplitude_ci95=ends,
+        growth_per_run=growth, growth_per_run_ci95=(low, high),
+        p_value=float(2.0 * stdtr(known_freedom(freedom), -abs(slope) / error)),
+    )  # fmt: skip
 
 
 _LineKey = tuple[str, str, str, str]
@@ -489,38 +475,14 @@ def _bearing_trends(tests: Sequence[Tested], channels: Sequence[str]) -> list[Tr
     trends, followed = [], set()
     for key, order in lines.items():
         name, line, seen_in, channel = key
+        add = partial(trend_over, line=f"{name} {line}", order=order)
         if seen_in != "envelope":
-            columns = np.array([sizes.get(key, (np.nan, np.nan)) for sizes in recorded]).T
-            trends.append(_trend(f"{name} {line}", "bearing", channel, order, RunAmplitudes(columns[0], columns[1])))
+            sizes, errors = np.array([of_run.get(key, (np.nan, np.nan)) for of_run in recorded]).T
+            trends.append(add(RunAmplitudes(sizes, errors), kind="bearing", channel=channel))
         elif len(maps) == len(tests) and (name, line) not in followed:
             followed.add((name, line))
-            runs = run_amplitudes(maps, order=order)
-            trends.append(_trend(f"{name} {line}", "bearing, envelope", "", order, runs))
+            trends.append(add(run_amplitudes(maps, order=order), kind="bearing, envelope"))
     return trends
-
-
-def growth_over(runs: RunAmplitudes) -> Growth:
-    """Growth of the amplitudes over the ``runs`` of one test, two or more, by their errors; amplitudes are above 0.
-
-    A straight line through the logarithms, weighted by their errors; from three runs on these are widened where the
-    runs scatter more than they say, and the interval is Student's.
-    Source: MSU thesis: re-run the same test, growth means failing.
-    """
-    sizes, errors = (np.asarray(values, dtype=np.float64) for values in (runs.amplitudes, runs.errors))
-    logs, run = np.log(sizes), np.arange(len(sizes), dtype=np.float64)
-    weight = np.maximum(errors / sizes, 1e-9) ** -2.0
-    beside = run - (weight * run).sum() / weight.sum()
-    variance = 1.0 / float((weight * beside**2).sum())
-    slope, freedom = float((weight * beside * logs).sum()) * variance, runs.freedom
-    if len(run) > 2:
-        rest = logs - (weight * logs).sum() / weight.sum() - slope * beside
-        scatter = float((weight * rest**2).sum()) / (len(run) - 2)
-        if scatter > 1.0:
-            variance, freedom = variance * scatter, len(run) - 2.0
-    error = math.sqrt(variance)
-    half = error * half_width(freedom, level=1.0 - TREND_NUMBERS.no_change_chance)
-    growth, low, high = (math.expm1(min(value, 700.0)) for value in (slope, slope - half, slope + half))
-    return Growth(growth, (low, high), float(stdtr(known_freedom(freedom), -slope / error)))
 
 
 def run_amplitudes(envelopes: Sequence[xr.Dataset], *, order: float) -> RunAmplitudes:
