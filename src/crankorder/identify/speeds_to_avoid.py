@@ -194,9 +194,9 @@ def _cost(
     # how many times what it is without the mode: by the fit, unless the amplitudes stand higher over their trend
     trends = [excess for excess in crossing.trends if excess.channel == channel]
     times = trend = min(trends, key=lambda excess: excess.chance, default=None)
-    seen = dict[str, Any]()
+    seen: dict[str, Any] = {"amplitude": None, "amplification": None}
     if (peak := peaks.get(channel)) is not None:
-        seen = {"amplitude": peak.amplitude, "amplitude_ci95": peak.ends, "by_fit": peak.by_fit}
+        seen |= {"amplitude": peak.amplitude, "amplitude_ci95": peak.ends, "by_fit": peak.by_fit}
         by_fit = None if peak.response is None else fitted_excess(peak.response, modal.modes.index(mode), modal)
         times = trend if by_fit is None else by_fit if trend is None else higher(by_fit, [trend])
         seen["at_least"] = peak.response is None
