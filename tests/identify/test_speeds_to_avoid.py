@@ -127,6 +127,20 @@ def test_a_peak_that_the_fit_does_not_know_is_at_least_what_was_measured():
     assert all(one.at_least for one in judge([agreed(4.0, seen)], fit(*known, responses=(vague,))).avoid)
 
 
+def test_an_excited_crossing_at_which_the_order_was_not_measured_is_to_be_avoided_at_an_unknown_size():
+    """As in a firing engine's campaign: a mode shown by other orders, an order that does not stand out there."""
+    speeds = np.arange(1500.0, 2000.1, 50.0)
+    orders, modal = [agreed(4.0, line(4.0, 1.0, speed_rpm=speeds))], fit(mode(60.0))
+    (met,) = crossings(tuple(orders), modal, speed_rpm=RANGE, settings=SETTINGS)
+    finding = replace(
+        met.finding, verdict="excited", excited=True, amplification_predicted=5.0, amplification_ci95=None
+    )
+    shown = replace(met, finding=finding, trends=())
+    (speed,) = speeds_to_avoid([shown], tuple(orders), modal, speed_rpm=RANGE, unit=UNIT, settings=SETTINGS).avoid
+    assert speed.amplitude is None and speed.amplification is None and not speed.at_least
+    assert speed.rpm_range[0] < 900.0 < speed.rpm_range[1]
+
+
 def test_a_mode_in_doubt_at_which_an_order_peaks_is_to_be_avoided_and_called_what_it_is():
     modes = [mode(100.0, undecided="a tone or a mode")]
     verdicts = judge([agreed(4.0, line(4.0, resonant(4.0, SPEEDS_RPM, modes)))], fit(*modes))
