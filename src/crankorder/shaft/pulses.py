@@ -108,19 +108,19 @@ def find_pulses(
     if samples.ndim != 1 or samples.size < 2:
         raise InputError("the encoder trace has no samples", found=samples.shape, allowed="one axis, 2 samples or more")
     sign = 1.0 if edge == "rising" else -1.0
-    some = _some(samples)
-    levels = _levels(some, float(samples.min()), float(samples.max()))
+    some, lowest = _some(samples), float(samples.min())
+    levels = _levels(some, lowest, float(samples.max()))
     low, high = sorted(sign * level for level in levels)
     if not levels[1] > levels[0]:
         raise _no_pulses(edge, pulses_per_rev, "a constant" if np.isfinite(low) else "no finite sample")
     square = kind == "square" or _is_two_level(some, *levels)
     if square:
         half = 0.5 * settings.hysteresis_fraction * (high - low)
-        at, level, n_missing = _fired_square(samples, sign, 0.5 * (low + high), half)
+        at, level = _fired_square(samples, sign, 0.5 * (low + high), half)
     else:
         extremes = sorted(sign * level for level in _mark_levels(samples)) if pulses_per_rev == 1 else None
         low, high, rest, share, sure = _pickup_levels(sign * some, settings.pickup_level_fraction, extremes)
-        at, level, n_missing = _fired_pickup(
+        at, level = _fired_pickup(
             samples, sign, low, high, rest, share, settings.hysteresis_fraction, sure, settings.envelope_teeth
         )
     settled_at = (low + SETTLED_SHARE * (high - low), high - SETTLED_SHARE * (high - low))
@@ -137,7 +137,8 @@ def find_pulses(
     if square and (spread := _spread(some, *levels)) > OVERLAP_SHARE:
         detail = f"not a square wave: its two levels scatter by {spread:.2f} of their distance"
         flags.append(("encoder_unclear", "suspect", detail))
-    if n_missing:
+    if math.isnan(lowest):
+        n_missing = np.count_nonzero(np.isnan(samples))
         flags.append(("encoder_gap", "suspect", f"{n_missing} of {samples.size} encoder samples are not a number"))
     position /= rate_hz
     return Pulses(time_s=position, noise_s=noise_samples / rate_hz, flags=flags)
@@ -189,19 +190,19 @@ def _levels(trace: npt.NDArray[Any], low: float, high: float) -> tuple[float, fl
 
 @njit(cache=True, nogil=True)
 def _fired_square(trace, sign, middle, half):  # type: ignore[no-untyped-def]
-    """First samples of ``sign * trace`` ``half`` above the ``middle`` since half below; that for each; count of NaN."""
-    at, n, missing, armed, low, high = np.empty(FIRST_PULSES, dtype=np.int64), 0, 0, False, middle - half, middle + half
-    for i in range(trace.size):
-        value = sign * trace[i]
-        missing += value != value
-        if value < low:
-            armed = True
-        elif armed and value > high:
-            if n == at.size:
-                at = np.concatenate((at, at))  # as much room again
-            at[n] = i
-            n, armed = n + 1, False
-    return at[:n].copy(), np.full(n, middle), missing
+    """First samples of ``sign * trace`` ``half`` above the ``middle`` since half below, and the middle for each."""
+    at, n, i, low, high = np.empty(FIRST_PULSES, dtype=np.int64), 0, 0, middle - half, middle + half
+    while True:
+        while i < trace.size and not sign * trace[i] < low:
+            i += 1
+        while i < trace.size and not sign * trace[i] > high:
+            i += 1
+        if i == trace.size:
+            return at[:n].copy(), np.full(n, middle)
+        if n == at.size:
+            at = np.concatenate((at, at))  # as much room again
+        at[n] = i
+        n += 1
 
 
 def _some(samples: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -244,9 +245,9 @@ def _pickup_levels(
 
 @njit(cache=True, nogil=True)
 def _fired_pickup(trace, sign, full_low, full_high, rest, share, hysteresis, sure, envelope_teeth):  # type: ignore[no-untyped-def]
-    """Samples at which each pulse of ``sign * trace`` is sure, the level at which to cut it, and the count of NaN."""
+    """Samples at which each pulse of ``sign * trace`` is sure, and the level at which to cut it."""
     at, level_at = np.empty(FIRST_PULSES, dtype=np.int64), np.empty(FIRST_PULSES)
-    n, missing, armed, last = 0, 0, False, 0.0
+    n, armed, last = 0, False, 0.0
     block = min(trace.size, max(FIRST_BLOCK, trace.size // 64))
     interval = block / 8.0
     low, high = full_high, full_low
@@ -255,7 +256,6 @@ def _fired_pickup(trace, sign, full_low, full_high, rest, share, hysteresis, sur
     peak = trough = level = low
     for i in range(trace.size):
         value = sign * trace[i]
-        missing += value != value
         height = max(high - low, 0.0)
         if rest == 0:
             level = 0.0 if low < 0.0 < high and min(-low, high) > 0.25 * height else 0.5 * (low + high)
@@ -283,7 +283,7 @@ def _fired_pickup(trace, sign, full_low, full_high, rest, share, hysteresis, sur
             # the wheel slows or its pulses fade: look for pulses of half the height
             shrink, last = 0.25 * (high - low), float(i)
             low, high = (low if rest < 0 else low + shrink), (high if rest > 0 else high - shrink)
-    return at[:n].copy(), level_at[:n].copy(), missing
+    return at[:n].copy(), level_at[:n].copy()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
