@@ -66,16 +66,23 @@ class Contrasts:
 
 
 def whitening(begin_rev: Floats, *, revs_per_frame: float) -> Floats:
-    """What makes white noise white again (frames, frames) in Hann frames of a recording that overlap.
+    """Matrix (frames, frames) that makes white noise independent again in overlapping Hann frames of a recording.
 
-    ``begin_rev`` (frames,) is where each begins, ``revs_per_frame`` how long it is.
+    It is the inverse of the Cholesky factor of the frames' correlation.
+
+    Parameters
+    ----------
+    begin_rev : (frames,), rev, crank angle at which each frame begins
+    revs_per_frame : length of a frame, rev, above 0
     """
     shared = _alike(np.abs(begin_rev[:, None] - begin_rev) / revs_per_frame, "hann")
     return np.asarray(np.linalg.inv(np.linalg.cholesky(shared + 1e-9 * np.eye(len(begin_rev)))))
 
 
 def neighbour_correlation(begin_rev: Floats, recording: Ints, *, revs_per_frame: float, window: str) -> Floats:
-    """Correlation of white noise in each frame and itself, the next … (lags, frames), as far as frames overlap.
+    """Correlation (lags, frames), 0 to 1, of white noise in each frame with itself, the next and so on.
+
+    There are as many lags as frames overlap; lag 0 is 1.
 
     Parameters
     ----------
@@ -104,7 +111,7 @@ def _alike(apart: Floats, window: str) -> Floats:
 
 
 def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
-    """Slow waves over frames: what they show of a line's bin is the spectrum of the noise right beside the line.
+    """Contrasts by slow waves over the frames: they show the spectrum of the noise right beside a line.
 
     The mean of the frames is a spectrum of all of them at the line, far finer than that of one; a wave of j cycles
     over the frames is that spectrum j of its bins away, where a steady line shows nothing.
@@ -208,7 +215,7 @@ def noise_beside(energy: Floats, bins: Ints) -> Floats:
 
 
 def median_of_known(values: Floats, *, axis: int) -> Floats:
-    """Median of ``values`` along ``axis`` of what is known; NaN where nothing is."""
+    """Median of the known ``values`` (any shape) along ``axis``, which the result lacks; NaN where none is known."""
     ordered = np.sort(values, axis=axis)
     count = np.count_nonzero(~np.isnan(ordered), axis=axis)
     low = np.expand_dims(np.maximum(count - 1, 0) // 2, axis)
@@ -218,25 +225,34 @@ def median_of_known(values: Floats, *, axis: int) -> Floats:
 
 
 def cycle_bins(frames: xr.Dataset) -> Ints:
-    """Bins of the multiples of the cycle's order in the OrderFrames ``frames``, which hold two orders or more."""
+    """Bins (multiples,) of the multiples of the cycle's order in the OrderFrames ``frames``, without order 0.
+
+    ``frames`` hold two orders or more.
+    """
     order, step = frames["order"].values, 1.0 / int(frames.attrs["revs_per_cycle"])
     per_order = 1.0 / float(order[1] - order[0])
     return np.asarray(np.rint(np.arange(1.0, np.floor(order[-1] / step) + 1.0) * step * per_order).astype(np.int64))
 
 
 def median_beside(power: Floats, half: int) -> Floats:
-    """Median of ``power`` (bins,) over ``half`` bins on each side of each bin."""
+    """Median (bins,) of ``power`` (bins,) over each bin and ``half`` bins on each side; mirrored at the ends."""
     beside = np.lib.stride_tricks.sliding_window_view(np.pad(power, half, mode="reflect"), 2 * half + 1)
     return np.asarray(np.median(beside, axis=-1))
 
 
 def noise_under(level: Floats, energy: Floats, bins: Ints, at: float, independent: Floats) -> tuple[Floats, Floats]:
-    """Noise power (…,) under a line ``at`` a bin, and by how much (a standard error) its shape leaves that open.
+    """Noise power (…,) under a line and its standard error (…,) from the unknown shape of the noise.
 
-    ``energy`` (…, orders), without what the line leaks, is the mean of ``independent`` (…,) frames, ``bins``
-    (several,), rising, hold noise, ``level`` (…,) is the mean of that. Where the bins beside rise towards the line, or
-    across it, by more than chance, the noise is that of the nearest ones, carried on as a parabola of its logarithm:
-    the mean of all would take the noise of a resonance for the line's.
+    Where the bins beside rise towards the line, or across it, by more than chance, the noise is that of the nearest
+    ones, carried on as a parabola of its logarithm: the mean of all would take the noise of a resonance for the line's.
+
+    Parameters
+    ----------
+    level : (…,), mean noise power of the ``bins``
+    energy : (…, orders), mean power of the frames without what the line leaks
+    bins : (several,), rising, bins that hold noise; fewer than two on one side give ``level`` and 0
+    at : bin of the line, with fractions
+    independent : (…,), independent frames that ``energy`` is the mean of
     """
     below, above = bins[bins < at], bins[bins > at]
     if min(len(below), len(above)) < 2:
@@ -285,7 +301,7 @@ def _noise_bins(energy: Floats, bins: Ints) -> tuple[Floats, Bools]:
 def helped_by_beside(
     noise: Floats, own: Floats, energy: Floats, powers: Floats, *, bins: Ints, worth: Floats
 ) -> tuple[Floats, Floats]:
-    """``noise`` power of a frame and its complex degrees of freedom; where ``own`` are few, with the bins beside.
+    """Noise power of a frame and its complex degrees of freedom, both (…, orders); few ``own`` ones join bins beside.
 
     Parameters
     ----------
@@ -308,9 +324,10 @@ def helped_by_beside(
 
 @dataclass(frozen=True)
 class HeldSizes:
-    """Amplitudes (channels, frames) of a line in the frames of one recording whose speed is held, in ``row`` of a map.
+    """Amplitudes of a line in the frames of one recording whose speed is held.
 
-    The line keeps no phase, so that each frame tells its amplitude only.
+    ``row`` is its row of the map, ``sizes`` (channels, frames) the amplitudes. The line keeps no phase, so that each
+    frame tells its amplitude only.
     """
 
     row: int
@@ -323,7 +340,10 @@ class HeldSizes:
 
 @dataclass(frozen=True)
 class SizeRows:
-    """Amplitudes (channels, rows) of a line with their standard errors, degrees of freedom and interval's ends."""
+    """Amplitudes of a line, each field (channels, rows): ``amplitude``, its standard ``error`` and ``dof``, interval.
+
+    ``dof`` are the degrees of freedom of ``error``; ``low`` and ``high`` are the ends of the 95 % interval.
+    """
 
     amplitude: Floats
     error: Floats

@@ -71,7 +71,10 @@ _OF_CHANNEL = ("level", "band_low", "band_high", "n_independent")
 
 
 class Stretch(NamedTuple):
-    """Ends of the steps of crank angle of a piece, in samples, and the steps at which its frames begin."""
+    """Steps of crank angle of a piece: ``edges`` (steps + 1,) in samples, with fractions, and ``begins`` (frames,).
+
+    ``begins`` are the numbers of the steps at which the frames begin.
+    """
 
     edges: Floats
     begins: Ints
@@ -101,7 +104,10 @@ class Grid(NamedTuple):
 
 
 class Spectra(NamedTuple):
-    """Power (bands, orders) of envelopes' lines, mean square of the first of them, and how many frames were used."""
+    """Spectra of envelopes: ``power`` (bands, orders) of their lines, ``level`` of the first, ``used`` frames.
+
+    ``level`` is the mean square of the envelope in the first band.
+    """
 
     power: Floats
     level: float

@@ -54,10 +54,10 @@ Bands = tuple[Band, ...]
 
 
 class Envelopes(NamedTuple):
-    """Mean squared envelopes (bands, angles) of the bands by crank angle, as multiples of ``unit``, and bad samples.
+    """Mean squared envelopes of the bands by crank angle: ``squared`` (bands, angles), in multiples of ``unit``.
 
-    ``rate_hz`` is how often a second the envelope was known: it holds from each sample to the next. Each row of ``bad``
-    (k, 2) is the first sample and the one after the last that a gap reaches, filters included.
+    ``rate_hz`` is the sample rate of the envelope, which holds from each sample to the next. Each row of ``bad``
+    (gaps, 2) is the first sample and the one after the last that a gap reaches, filters included.
     """
 
     squared: NDArray[np.float32]
@@ -67,9 +67,9 @@ class Envelopes(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Spectra (blocks, bins) of a signal's blocks, of which each gives the samples from its ``firsts`` on.
+    """``spectra`` (blocks, bins) of the blocks of a signal; each block gives the samples from its ``firsts`` on.
 
-    ``unit`` is what their squares are multiples of; ``bad`` as in :class:`Envelopes`.
+    The squares of ``spectra`` are multiples of ``unit``; ``bad`` (gaps, 2) is that of :class:`Envelopes`.
     """
 
     firsts: range
@@ -256,7 +256,7 @@ def _gather(waves, edges, weight, out, row, column):  # type: ignore[no-untyped-
 
 
 def middles(pieces: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Medians of the last axis of ``pieces``; of such short ones, many at a time, a sort is the fastest way."""
+    """Medians (…,) of ``pieces`` (…, several) along the last axis; of many short ones a sort is the fastest way."""
     ordered = np.sort(pieces, axis=-1)
     half = ordered.shape[-1] // 2
     made: NDArray[np.floating] = ordered[..., half]

@@ -297,7 +297,7 @@ def comb_variables(combs: Combs) -> Variables:
 
 
 def combs_in(dataset: xr.Dataset) -> Combs:
-    """Combs that ``dataset`` holds; none where it has none."""
+    """Combs that ``dataset``, a RecordingEnvelope or EnvelopeMap (``comb_…`` by comb), holds; empty where none."""
     if "comb_low" not in dataset:
         return ()
     columns = [dataset.variables[f"comb_{name}"].values.tolist() for name in Comb._fields]

@@ -76,9 +76,11 @@ def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
 
 
 class OrderRows(NamedTuple):
-    """One order in all channels by row: peak amplitude, phase [degree], standard error, degrees of freedom, 95 % ends.
+    """One order in all channels by row, each field (channels, rows); NaN (0 degrees of freedom) where it is not known.
 
-    Each (channels, rows), NaN (0 degrees of freedom) where nothing is known; the phase where there is no mark.
+    ``amplitude`` is the peak, ``phase`` in degrees is NaN where there is no mark either, ``standard_error`` that of the
+    amplitude with its ``degrees_of_freedom``; ``amplitude_low`` and ``amplitude_high`` are the ends of the 95 %
+    interval, ``phase_ci95`` in degrees the half width of that of the phase.
     """
 
     amplitude: Floats
@@ -322,7 +324,7 @@ PADDED = 8
 
 @dataclass(frozen=True)
 class SteadyLine:
-    """A line Re(``amplitude`` exp(2πi ``frequency_hz`` t)) (channels,), t from the first sample."""
+    """A line Re(``amplitude`` exp(2πi ``frequency_hz`` t)), t [s] from the first sample; ``amplitude`` (channels,)."""
 
     frequency_hz: float
     amplitude: Complexes
@@ -331,11 +333,11 @@ class SteadyLine:
 def without_steady_lines(
     band: xr.Dataset, course: SpeedCourse, orders: Floats, *, mains_hz: Sequence[float] = ()
 ) -> tuple[xr.Dataset, tuple[SteadyLine, ...]]:
-    """``band`` (BandRecording by time) less its steady lines, and these.
+    """``band`` (BandRecording by time) without its steady lines, and these lines.
 
     ``course`` is the speed of its shaft; the stretches in which one of ``orders`` (orders,) passes a line tell nothing
-    of it. A line has one amplitude and one phase through all others; what a mode rings, or an order that hardly moves,
-    does not. Lines are looked for about multiples of ``mains_hz`` and at the highest peaks.
+    of it. Through all other stretches a line has one amplitude and one phase; a ringing mode, or an order that hardly
+    moves, has not. Lines are looked for about multiples of ``mains_hz`` and at the highest peaks.
     """
     signals, rate = band["signal"].values, float(band.attrs["rate_hz"])
     time = float(band.attrs.get("start_s", 0.0)) + np.arange(signals.shape[1]) / rate

@@ -63,9 +63,10 @@ DENSER = 4
 
 
 def band_of_orders(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
-    """``band`` limited to the orders that ``settings`` ask for at the speeds of ``shaft``, where others need more.
+    """BandRecording ``band`` (channel, time) limited to the orders that ``settings`` ask for, where others need more.
 
-    Only where nothing was taken from it yet: two filters in a row would err by more than ``settings`` allow.
+    The highest speed of the ShaftAngle ``shaft`` counts. ``band`` is returned as it is where it is by crank angle, was
+    decimated before (two filters in a row would err by more than ``settings`` allow) or would hardly get shorter.
     """
     needed_hz = settings.max_order * float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
     taken = is_by_angle(band) or band.attrs.get("decimation_error") or not needed_hz > 0.0

@@ -175,8 +175,9 @@ class Sighting:
 class Band:
     """The decimated signal of frames about some orders: ``data`` (samples, channels) in the ``unit`` (channels,).
 
-    ``bins`` (bins,) are those that were joined, ``sample`` (samples,) the numbers of the samples, ``bins`` of them to a
-    frame. White noise of a recording is white in it, but for the outermost two bins.
+    ``bins`` (bins,) are the bins of the spectra that were joined, ``sample`` (samples,) the numbers of the samples, of
+    which a frame has as many as there are bins. White noise of a recording is white in ``data``, except in the
+    outermost two bins.
     """
 
     held: HeldFrames
@@ -462,7 +463,10 @@ def _phasors(inverse: NDArray[np.complexfloating], score: Complexes) -> Complexe
 
 
 def hann_lobe(off_bins: Floats) -> Floats:
-    """What a Hann window shows ``off_bins`` beside a line of amplitude 1, phases counted from the window's middle."""
+    """Response of a Hann window, of any shape, ``off_bins`` (of that shape) beside a line of amplitude 1.
+
+    It is sinc x / (1 - x²) of the distance x in bins, real as phases count from the middle of the window.
+    """
     edge = np.abs(np.abs(off_bins) - 1.0) < 1e-9
     with np.errstate(divide="ignore", invalid="ignore"):
         lobe = np.sinc(off_bins) / (1.0 - off_bins**2)

@@ -67,10 +67,10 @@ INTERVALS = {
 
 @dataclass(frozen=True)
 class Held:
-    """Noise power of the mean without what the line itself does, and the values that it held.
+    """Noise power of the mean without the changes of the line itself, and the values it held; each (channels, orders).
 
-    ``least`` and ``most`` amplitude of it, NaN where that is steady; ``turned`` its largest distance [rad] from the
-    mean phase, 0 where that is steady; each (channels, orders).
+    ``noise`` is that power, ``least`` and ``most`` are the extremes of the line's amplitude, NaN where that is steady;
+    ``turned`` is its largest distance [rad] from the mean phase, 0 where that is steady.
     """
 
     noise: Floats
@@ -145,12 +145,14 @@ def _extremes(turned_back: Complexes, owner: Ints) -> tuple[Floats, Floats, Floa
 
 @dataclass(frozen=True)
 class Average(BetweenRecordings, Held):
-    """Averages of a group of frames, each (channels, orders), with what differs between recordings and was held.
+    """Averages of a group of frames, each field (channels, orders), with what differs between recordings and was held.
 
     ``energy`` is the mean power, ``coherent`` the complex mean (the root of the mean of the recordings' coherent
-    powers where ``apart``, their number, is over one), ``noise`` the noise power of one frame by the frames' own
-    scatter with ``own`` complex degrees of freedom, ``left`` what of it is left in ``coherent``, ``bias`` what
-    it adds to the power of ``coherent``, ``powers`` the independent power spectra, ``phases`` the complex ones.
+    powers where ``apart``, their number, is over one), ``kurtosis`` the spectral kurtosis (0 of Gaussian noise, -1 of a
+    steady line), ``noise`` the noise power of one frame by the frames' own scatter with ``own`` complex degrees of
+    freedom, ``left`` the share of it that is left in ``coherent``, ``bias`` the share of it that adds to the power of
+    ``coherent``, ``powers`` and ``phases`` the numbers of independent power and complex spectra, ``count`` the number
+    of frames.
     """
 
     energy: Floats

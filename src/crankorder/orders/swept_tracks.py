@@ -156,7 +156,11 @@ class NoiseSpectrum:
 
     @classmethod
     def of(cls, band: xr.Dataset, course: SpeedCourse, orders: Floats) -> NoiseSpectrum:
-        """That of ``band``: the median of those pieces in which none of the ``orders`` along ``course`` was near."""
+        """Noise spectrum of the BandRecording ``band``: the median of the pieces without an order nearby.
+
+        ``course`` is the speed of its shaft, ``orders`` (orders,) are in cycles per revolution. One bin of NaN where
+        the recording is too short.
+        """
         from scipy.fft import rfft, rfftfreq
 
         top = BAND_OVER * float(orders.max(initial=1.0) * course.speed_rpm.max()) / 60.0

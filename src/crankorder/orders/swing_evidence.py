@@ -103,7 +103,10 @@ class Swing:
 
 
 def true_angle(shown: Floats, swings: dict[int, complex]) -> Floats:
-    """True angle [rev] at the angle ``shown`` [rev] by an encoder of the ``swings``, E_k [rev] by harmonic k."""
+    """True angle [rev] (angles,) at the angle ``shown`` [rev] (angles,) by an encoder of the ``swings``.
+
+    ``swings`` are E_k [rev] by harmonic k: the encoder shows Re Σ E_k exp(2πi k angle) too much.
+    """
     true = shown
     for _ in range(STEPS if swings else 0):
         true = shown - _error(true, swings)
@@ -175,7 +178,10 @@ def _moved(values: Floats, step: int) -> Floats:
 
 @dataclass(frozen=True)
 class Rows:
-    """Complex amplitudes (rows, half orders) of channels, and recordings or frames of sweeps; ``noise`` power."""
+    """Complex amplitudes ``value`` (rows, half orders) and their ``noise`` power, of the same shape.
+
+    A row is a channel in a recording, or in a frame of a sweep.
+    """
 
     value: Complexes
     noise: Floats

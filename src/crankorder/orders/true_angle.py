@@ -79,7 +79,7 @@ NAMES = {1: "eccentricity", 2: "ovality"}
 
 @dataclass(frozen=True, eq=False)
 class AngleErrors:
-    """Errors of the crank angle [rev] by row: ``random`` (rows,) within it, ``mean`` (rows,) that of its mean."""
+    """Standard errors of the crank angle [rev] by row: ``random`` (rows,) within it, ``mean`` (rows,) of its mean."""
 
     random: Floats
     mean: Floats
@@ -94,7 +94,7 @@ class AngleErrors:
         return np.asarray(np.where(half_deg < UNKNOWN_DEG, wider, half_deg))
 
     def kept(self, order: Floats) -> Floats:
-        """Share of its amplitude, 0 to 1, that a line at each ``order`` keeps; shapes as of :meth:`phase_half_deg`."""
+        """Share of its amplitude, 0 to 1, that a line at each ``order`` keeps; it broadcasts with (rows,)."""
         return np.asarray(np.exp(-0.5 * np.square(2.0 * np.pi * order * self.random)))
 
     @property
@@ -104,7 +104,10 @@ class AngleErrors:
 
 
 def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Attribute]:
-    """The attributes that frames of ``revs_per_frame`` carry of the error of their ShaftAngle ``shaft``."""
+    """The attributes that frames carry of the error of their ShaftAngle ``shaft`` (time).
+
+    ``revs_per_frame`` is the length of a frame, rev.
+    """
     error, of_one = _errors(shaft, revs_per_frame)
     # teeth of an encoder on another shaft swing at orders that no harmonic of the crank has
     own = TOOTH_PRINT in shaft.attrs and float(shaft.attrs[TOOTH_ORDER]) == 1.0
@@ -142,9 +145,10 @@ def swing_shown(frames: Sequence[xr.Dataset]) -> Complexes:
 
 
 def same_teeth(frames: Sequence[xr.Dataset]) -> bool:
-    """Whether the angles of all ``frames`` err alike: by one wheel, whose low harmonics are left in all of them.
+    """Whether the angles of all OrderFrames ``frames`` (channel, frame, order) err alike.
 
-    What was taken out of them with the teeth may have been motion, which is another in each recording.
+    They do where one wheel made them and its low harmonics are left in all of them: harmonics that were taken out with
+    the teeth may have been motion, which differs between recordings.
     """
     stated = [item.attrs for item in frames if TOOTH_PRINT in item.attrs]
     return not stated or (all(int(attrs[TOOTH_KEPT]) for attrs in stated) and same_wheel(stated))
@@ -273,7 +277,7 @@ def tracks_in_true_angle(followed: Sequence[xr.Dataset], swings: Swings) -> list
 
 
 def left_of(frames: Sequence[xr.Dataset]) -> dict[int, float]:
-    """What may be left of each harmonic of the swing [rev] in ``frames``, the largest."""
+    """Largest amplitude [rev] of each harmonic of the swing that may be left in the OrderFrames ``frames``."""
     stated = [np.atleast_1d(item.attrs[LEFT]) for item in frames if LEFT in item.attrs]
     return {} if not stated else dict(zip(HARMONICS, np.max(stated, axis=0).tolist(), strict=True))
 

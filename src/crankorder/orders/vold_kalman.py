@@ -362,7 +362,7 @@ def place_knots(spacing: Floats, n_samples: int) -> Ints:
 
 
 def middles(starts: Ints) -> Floats:
-    """Middle [samples] of each interval of ``starts``, as of ``place_knots``."""
+    """Middle [samples] (intervals,) of each interval between ``starts`` (intervals + 1,) of ``place_knots``."""
     return np.asarray(0.5 * (starts[1:] + starts[:-1] - 1.0))
 
 
