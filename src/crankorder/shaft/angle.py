@@ -40,7 +40,7 @@ CARRIED_CUT_OFF = 0.05
 
 @dataclass(frozen=True)
 class AngleKnots:
-    """Knots (knots,) of crank angle: time [s], angle [rev], speed [rpm], standard error of the angle [rev].
+    """Knots of crank angle, each array (knots,): time [s], angle [rev], speed [rpm], standard error of the angle [rev].
 
     Between knots the angle is the cubic Hermite polynomial whose slopes are the speeds. ``cut_off_order`` is the order
     (cycles per crank revolution) above which motion is smoothed away, infinite where nothing is; ``noise_s`` the
@@ -216,7 +216,7 @@ def _stride_fits(time, slope, stride, every, allowed):  # type: ignore[no-untype
 
 
 def knots_of(shaft: xr.Dataset) -> dict[str, Floats]:
-    """Arguments of :func:`angle_at` and :func:`time_at` from the ShaftAngle ``shaft``."""
+    """Knots of the ShaftAngle ``shaft`` as arguments of :func:`angle_at` and :func:`time_at`, each (knots,)."""
     return {
         "knot_time_s": shaft.variables["time"].values,  # not shaft["time"], which gathers coordinates at a great cost
         "knot_angle_rev": shaft.variables["crank_angle"].values,
@@ -383,7 +383,7 @@ RUNNING_SHARE, SLOWEST_RPM = 0.03, 20.0
 
 @dataclass(frozen=True)
 class SpeedCourse:
-    """Speed [rpm] of a recording at ``time_s``, its rate of change [rpm/s], and whether the shaft turns (times,)."""
+    """Speed of a recording [rpm] at ``time_s``, its rate of change [rpm/s], whether the shaft turns; each (times,)."""
 
     time_s: Floats
     speed_rpm: Floats

@@ -35,10 +35,10 @@ DEEPEST_RAD = 1.8412
 
 @dataclass(frozen=True)
 class Modulation:
-    """Error of the crank angle from one ``cause``, and what it does to a line.
+    """Error of the crank angle from one ``cause``, and its effect on a line.
 
-    ``random_rev``: standard deviation of what is random within a frame. ``tone_rev`` (tones,): amplitudes of what
-    swings at ``tone_order`` (tones,), cycles per crank revolution.
+    ``random_rev`` is the standard deviation [rev] of its random part within a frame, ``tone_rev`` (tones,) are the
+    amplitudes [rev] of its swings at ``tone_order`` (tones,), cycles per crank revolution.
     """
 
     cause: str
@@ -78,7 +78,7 @@ class Reference:
         return self.error_rev * math.sqrt(max(1.0, self.teeth_per_rev / (2.1 * self.cut_off_order)))
 
     def smoothing(self, cycles_per_tooth: Floats) -> Floats:
-        """Gain of the smoother at each of ``cycles_per_tooth``."""
+        """Gain of the smoother, 0 to 1, at each of ``cycles_per_tooth`` (any shape)."""
         cut_off = self.cut_off_order / self.teeth_per_rev
         if cut_off > HIGHEST_CUT_OFF:
             return np.ones_like(cycles_per_tooth)
@@ -106,9 +106,9 @@ def lag_rev(order: float, irregularity: float) -> float:
 
 
 def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
-    """The Reference that the ShaftAngle ``shaft`` rests on; of an integrated speed, its error within a frame.
+    """The Reference that the ShaftAngle ``shaft`` (time) rests on; of an integrated speed, its error within a frame.
 
-    ``revs_per_frame`` is the length of a frame. ``teeth_per_rev`` is 0 where the angle has but two knots.
+    ``revs_per_frame`` is the length of a frame, rev. ``teeth_per_rev`` is 0 where the angle has only two knots.
     """
     attrs, error = shaft.attrs, shaft.variables["standard_error"].values
     n_pulses, revs = int(attrs["n_pulses"]), float(np.ptp(shaft.variables["crank_angle"].values))
@@ -127,16 +127,17 @@ def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
 
 
 def pulse_noise(reference: Reference, *, revs_per_frame: float) -> Modulation:
-    """Random error of the angle of ``reference`` within frames of ``revs_per_frame``."""
+    """Random error of the angle of ``reference`` within frames whose length is ``revs_per_frame`` revolutions."""
     left = min(reference.error_rev, reference.pulse_error_rev / math.sqrt(reference.teeth_per_rev * revs_per_frame))
     return Modulation("the noise of the pulses", random_rev=math.sqrt(reference.error_rev**2 - left**2))
 
 
 def seen_motion(shaft: xr.Dataset, reference: Reference) -> dict[float, float]:
-    """Amplitude [rev] of the in-cycle motion that ``shaft`` shows surely, by order: what its cycles have in common.
+    """Amplitude [rev], by order, of the in-cycle motion that the ShaftAngle ``shaft`` (time) shows for certain.
 
-    In each cycle time is compared with the cubic through the ends of it and of its neighbours, which takes away what a
-    run-up does. ``reference`` is that of ``shaft``; where motion is only what rounding makes of it, it is left out.
+    It is what the cycles have in common. In each cycle the time is compared with the cubic through its ends and those
+    of its neighbours, which removes the effect of a run-up. ``reference`` is that of ``shaft``; motion that rounding
+    alone may have made is left out.
     """
     turns, knots = reference.revs_per_cycle, knots_of(shaft)
     first, last = math.ceil(knots["knot_angle_rev"][0]), math.floor(knots["knot_angle_rev"][-1])

@@ -82,7 +82,8 @@ def cut_off_of(grid: Floats, weight: Floats, *, noise_s: float, floor: float, ma
     weight : (teeth,), 1 where a tooth has a pulse, else 0
     noise_s : standard deviation of one pulse time, s
     floor : lowest cut-off to return, cycles per pulse; kept as it is where the residual there is noise
-    margin : 1 or more, on a cut-off above the floor; bias falls with its sixth power, noise grows with its square root
+    margin : factor of 1 or more on a cut-off above the floor; bias falls with its sixth power, noise grows with its
+        square root
     """
     spacing = float(weight.size / weight.sum())
     n_blocks = min(MAX_BLOCKS, max(1, int(grid.size / (BLOCK_PULSES * spacing))))

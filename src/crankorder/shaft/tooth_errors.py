@@ -47,13 +47,14 @@ amplitude [rev] there up to which motion may be theirs."""
 
 @dataclass(frozen=True, eq=False)
 class ToothErrors:
-    """Errors of a wheel's teeth: ``line_error_rev`` (line,) true place less where it should be, in encoder revolutions.
+    """Errors of a wheel's teeth: ``line_error_rev`` (lines,), true place less ideal place, in encoder revolutions.
 
-    Line 0 is tooth number 0. ``rms_share`` is their size over the pitch; ``level_rev`` the root of the mean square
-    amplitude [rev] of a harmonic of them, below which motion and teeth are not told apart; ``kept`` (harmonics) stay in
-    the angle, ``motion`` (harmonics) are those of them that stand out, of more than ``least_motion_rev`` where low;
-    ``standard_error_rev`` is what is left in the angle, ``print_rev`` amplitudes [rev] of some harmonics, from the
-    ``first_printed`` one on, by which a wheel is known again.
+    Line 0 is tooth number 0. ``rms_share`` is their root mean square over the pitch; ``level_rev`` the root of the mean
+    square amplitude [rev] of a harmonic of them, below which motion and teeth are not told apart; ``kept`` harmonics
+    stay in the angle, ``motion`` are those of them that stand out, of more than ``least_motion_rev`` where low.
+    ``standard_error_rev`` is the error [rev] left in the angle, ``n_revs`` the number of revolutions looked at,
+    ``print_rev`` (harmonics,) the amplitudes [rev] of some harmonics, from the ``first_printed`` one on, by which a
+    wheel is recognised.
     """
 
     line_error_rev: Floats
@@ -236,12 +237,13 @@ SPEED_ROUNDS = 2
 
 @dataclass(frozen=True, eq=False)
 class LinePattern:
-    """Mean place [rev] of each of the ``lines`` of one recording where even rotation would have it at line / lines.
+    """Mean deviation [rev] of each of the ``lines`` of one recording from its place line / lines in even rotation.
 
     Line 0 is tooth number 0; lines that the wheel does not have are filled in from their neighbours. ``harmonic_rev``
-    (order,) are the complex amplitudes of the places by order of the encoder, ``harmonic_variance`` (order,) the mean
-    squares of their errors [rev²]. ``cycle_rev`` are the complex amplitudes of the low orders 0, 1/k, 2/k … of the
-    k = ``period_revs`` encoder revolutions in which the motion repeats. ``n_revs`` encoder revolutions were looked at.
+    (orders,) are the complex amplitudes of the places by order of the encoder, ``harmonic_variance`` (orders,) the mean
+    squares of their errors [rev²]. ``cycle_rev`` (low orders,) are the complex amplitudes of the orders 0, 1/k, 2/k …
+    of the k = ``period_revs`` encoder revolutions in which the motion repeats. ``n_revs`` encoder revolutions were
+    looked at.
     """
 
     lines: int

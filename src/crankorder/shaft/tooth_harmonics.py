@@ -46,10 +46,10 @@ FRAMES_AT_ONCE = 256
 
 @dataclass(frozen=True)
 class SpeedEvidence:
-    """Log odds (knots, speeds) of a comb of orders against none, for knots ``time_s`` and speeds ``speed_hz``.
+    """``log_odds`` (knots, speeds) of a comb of orders against none, at ``time_s`` (knots,) and ``speed_hz`` (speeds,).
 
-    Lines count over the noise next to them. ``frames_per_knot`` is the number of independent frames that a knot is
-    worth. The speeds are even in the logarithm.
+    The height of a line counts over the noise next to it. ``frames_per_knot`` is the number of independent frames that
+    a knot is worth. The speeds [Hz] are even in the logarithm, the times in s.
     """
 
     time_s: Floats

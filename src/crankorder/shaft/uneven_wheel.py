@@ -216,7 +216,12 @@ DISPLACED_RATIO = 4.0
 
 @dataclass(frozen=True)
 class Wheel:
-    """Teeth as they stand on an even grid: steps of the grid per revolution, step and offset of each tooth."""
+    """Teeth on an even grid of ``grid`` steps per revolution.
+
+    ``places`` (teeth,) are the steps at which they stand, rising, ``offsets`` (teeth,), or (1,) for all alike, their
+    distance from these in steps. ``repeats`` is how often the pattern repeats per revolution, ``name`` what it is
+    called.
+    """
 
     grid: int
     places: Ints
@@ -236,7 +241,7 @@ class Wheel:
 
     @property
     def spans(self) -> Ints:
-        """Steps from each tooth to the next."""
+        """Steps (teeth,) from each tooth to the next, the last to the first of the next revolution."""
         return np.diff(self.places, append=self.grid)
 
     @property
@@ -245,7 +250,7 @@ class Wheel:
         return float(self.spans.max() * self.places.size / self.grid)
 
     def angle_of(self, tooth: Ints) -> Floats:
-        """Where ``tooth`` (numbers on the grid) stand, in steps of it, with their offsets."""
+        """Places (any shape), in steps of the grid, of the teeth numbered ``tooth`` on it, with their offsets."""
         offset = np.zeros(self.grid)
         offset[self.places] = self.offsets
         return np.asarray(tooth + offset[tooth % self.grid])

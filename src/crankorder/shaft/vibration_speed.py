@@ -134,8 +134,8 @@ class Tie:
 class VibrationSpeed:
     """Crank angle and speed on ``knots``, as the vibration tells them.
 
-    ``confidence`` (0…1 per knot) is the probability that the speed is within 2 % of that told, by the model of lines
-    and noise; ``ties`` are other fundamentals that explain the lines nearly as well, best first.
+    ``confidence`` (knots,), 0 to 1, is the probability, by the model of lines and noise, that the true speed is within
+    2 % of the one found; ``ties`` are other fundamentals that explain the lines nearly as well, best first.
     """
 
     knots: AngleKnots
