@@ -115,10 +115,11 @@ class Spectra(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """The band chosen for a channel: power of its envelope's lines and the floor beneath (orders,), and its mean.
+    """The ``band`` chosen for a channel: ``power`` (orders,) of its envelope's lines and the ``floor`` (orders,).
 
-    ``looks`` (3, bands, looks): in every band, at the bins where strikes are looked for, the power over the skirts of
-    other lines, that over the local floor, and the root of this floor; ``share`` of the frames that were used.
+    ``mean_square`` is that of the envelope. ``looks`` (3, bands, looks) are, in every band and at the bins where
+    strikes are looked for, the power over the skirts of other lines, that over the local floor, and the root of this
+    floor. ``share`` is the share of the frames that were used, 0 to 1.
     """
 
     band: Band

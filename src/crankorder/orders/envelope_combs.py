@@ -305,10 +305,11 @@ def combs_in(dataset: xr.Dataset) -> Combs:
 
 
 def joined_looks(groups: list[list[xr.Dataset]]) -> Variables:
-    """Variables of an EnvelopeMap: for each comb its lines in the one band that serves it best in the whole test.
+    """Variables (comb, channel, speed, look) of an EnvelopeMap: the lines of each comb in the band that serves it best.
 
-    ``groups`` are the RecordingEnvelopes of like speed; empty where one of them was made without combs, or with
-    others. Bands of other recordings are those nearest to the bands of the first one of the most.
+    The band is one for the whole test. ``groups`` are lists of RecordingEnvelopes (channel, speed, order) of like
+    speed. The result is empty where one of them was made without combs, or with others. In other recordings the bands
+    nearest to those of the first recording with most bands are taken.
     """
     items = [item for group in groups for item in group]
     combs = combs_in(items[0])

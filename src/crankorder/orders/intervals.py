@@ -81,11 +81,11 @@ def energy_interval(
 ) -> tuple[Floats, Floats]:
     """Lower and upper end of the 95 % interval of an amplitude whose square was averaged without phase.
 
-    All parameters have one shape, or broadcast to it; both ends have it too.
+    All parameters broadcast to one shape, (…, orders), which both ends have.
 
     Parameters
     ----------
-    power : squared amplitude, with noise
+    power : (…, orders), squared amplitude, with noise
     noise : noise power with which the line beats: the variance of ``power`` is 2 line noise + noise_variance
     bias : what noise adds to ``power`` on average
     noise_variance : variance of ``power`` without a line
@@ -170,7 +170,7 @@ WHOLE = 1e-6
 
 
 def one_phase_reference(used: Sequence[xr.Dataset]) -> bool:
-    """Whether the OrderFrames ``used`` have one and the same ``phase_reference``, and it is a place on the crank.
+    """Whether the OrderFrames ``used`` (channel, frame, order) have one and the same ``phase_reference``, and it is a place on the crank.
 
     The zero of a count that no index sets is one in a single recording.
     """
@@ -179,7 +179,7 @@ def one_phase_reference(used: Sequence[xr.Dataset]) -> bool:
 
 
 def phase_reference_of(used: Sequence[xr.Dataset]) -> str:
-    """The ``phase_reference`` attribute of the OrderFrames ``used``; "mixed" where they differ."""
+    """The ``phase_reference`` attribute of the OrderFrames ``used`` (channel, frame, order); "mixed" if they differ."""
     marks = {str(item.attrs["phase_reference"]) for item in used}
     return marks.pop() if len(marks) == 1 else "mixed"
 

@@ -50,7 +50,7 @@ which the frame stands for no speed: a step."""
 
 @dataclass(frozen=True)
 class TimeSamples:
-    """Signals (channels, samples) at ``rate_hz`` from ``start_s`` on, with content up to ``content`` of the rate.
+    """``signals`` (channels, samples) at ``rate_hz`` from ``start_s`` on; ``content`` is the share of the rate in use.
 
     ``usable`` (channels, samples) is False within gaps and what filters spread of them; None where there are none.
     """
@@ -87,7 +87,7 @@ def time_samples(band: xr.Dataset, *, tolerance: float) -> TimeSamples:
 
 
 class SignalsByAngle(NamedTuple):
-    """Signals (channels, samples) at even crank angles (samples,) in rev.
+    """``signals`` (channels, samples) at even crank angles ``angle_rev`` (samples,), rev.
 
     ``usable`` (channels, samples) is False where a gap of the recording reaches; None where there is none.
     """

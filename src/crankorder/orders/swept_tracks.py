@@ -217,12 +217,13 @@ def followed_tracks(
     standing_out: Sequence[float] = (),
     mains_hz: Sequence[float] = (),
 ) -> xr.Dataset:
-    """RecordingTracks of one recording: :func:`swept_tracks` where its speed is ``swept``, else none.
+    """RecordingTracks (channel, order, frame) of one recording where its speed is ``swept``, else an empty dataset.
 
-    ``band`` is the BandRecording, ``shaft`` its ShaftAngle. With ``settings.track_method`` "auto" those orders of
-    ``settings.track_orders`` and ``standing_out`` are followed jointly through a sweep, beside mains of ``mains_hz``;
-    with "frames" none are. An order that is not followed is read in the order map and its frames. The attribute
-    ``swept`` says whether rows are those of a sweep, ``standing_out`` which orders stood out in it.
+    ``band`` is the BandRecording, ``shaft`` its ShaftAngle; tracks are those of :func:`swept_tracks`. With
+    ``settings.track_method`` "auto" those orders of ``settings.track_orders`` and ``standing_out`` are followed jointly
+    through a sweep, beside mains of ``mains_hz``; with "frames" none are. An order that is not followed is read in the
+    order map and its frames. The attribute ``swept`` says whether rows are those of a sweep, ``standing_out`` which
+    orders stood out in it.
     """
     orders = [*settings.track_orders, *standing_out]
     if settings.track_method == "auto" and swept and orders:

@@ -277,7 +277,7 @@ def tracks_in_true_angle(followed: Sequence[xr.Dataset], swings: Swings) -> list
 
 
 def left_of(frames: Sequence[xr.Dataset]) -> dict[int, float]:
-    """Largest amplitude [rev] of each harmonic of the swing that may be left in the OrderFrames ``frames``."""
+    """Largest amplitude [rev], by harmonic, of the swing that may be left in ``frames`` (channel, frame, order)."""
     stated = [np.atleast_1d(item.attrs[LEFT]) for item in frames if LEFT in item.attrs]
     return {} if not stated else dict(zip(HARMONICS, np.max(stated, axis=0).tolist(), strict=True))
 
