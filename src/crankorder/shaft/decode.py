@@ -112,8 +112,8 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
 
     Parameters
     ----------
-    recording : Recording (see ``data_schema/recording.json``), sampled by time or by crank angle; the knots are on the
-        clock of its samples, the first of which is at ``start_s``
+    recording : Recording (channel, time or crank_angle) of ``data_schema/recording.json``; the knots are on the clock
+        of its samples, the first of which is at ``start_s``
     settings : how pulses become angle
 
     Raises

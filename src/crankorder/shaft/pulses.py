@@ -63,7 +63,7 @@ class NoPulsesError(InputError):
 
 @dataclass(frozen=True)
 class Pulses:
-    """Pulse times [s] (pulses,) from the start of the trace, the standard deviation of one of them [s], and remarks.
+    """Pulses of a trace: ``time_s`` (pulses,) from its start, the standard deviation ``noise_s`` of one, and remarks.
 
     ``flags`` holds (flag, severity, detail): severity is "info", "suspect" or "bad".
     """
