@@ -324,7 +324,11 @@ def check_bands(limits: tuple[Limit, ...], rate_hz: float, path: Path) -> None:
 def limit_faults(
     limits: tuple[Limit, ...], channels: Mapping[str, Channel], rotor: Rotor | None, rate_hz: float | None
 ) -> Iterator[RequestError]:
-    """What is wrong with ``limits`` beside the ``channels`` by name, the ``rotor`` and the stated rate ``rate_hz``."""
+    """Faults of ``limits``, yielded as RequestErrors that name the place in the manifest.
+
+    ``channels`` are those of the manifest by name, ``rotor`` its table or None, ``rate_hz`` the stated samples per
+    second, None where nothing states them.
+    """
     for number, limit in enumerate(limits):
         place, wanted = f"limits.{number}", "velocity" if limit.quantity == "balance grade" else limit.quantity
         if parse_quantity(limit.value)[1].quantity != wanted:

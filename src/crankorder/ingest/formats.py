@@ -153,7 +153,8 @@ def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings
 def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
     """What the file at ``path`` holds, read cheaply: names, units and rates, without the samples.
 
-    ``settings`` limit what is read. Raises what :func:`read_file` raises.
+    ``settings`` limit what is read. Raises InputError where the file holds no channel of numbers, and the errors of
+    :func:`read_file`.
     """
     contents = read_file(path, sources=(), settings=settings).contents
     if not contents.names:
@@ -164,7 +165,8 @@ def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
 def format_of(path: Path) -> Format:
     """Format of the file at ``path``, told by its content and never by its name.
 
-    Raises InputError that says what the file really is where it is not one of the formats that are read.
+    Raises InputError, which says what the file really is, where it is none of the formats that are read, is empty or
+    cannot be read; UnsafeInputError where opening it could run code; EnvironmentFailure without permission to read it.
     """
     check_regular(path)
     try:

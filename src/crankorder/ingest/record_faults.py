@@ -456,10 +456,10 @@ def _look_like_pulses(places: Ints, deviations: Floats) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """What the samples of a recording are: names and quantities by channel, their axis, and the shaft's speed.
+    """What the samples of a recording are: names, quantities and units by channel, their axis, and the shaft's speed.
 
-    ``rate`` samples per ``unit`` ("s", "rev"), the first at ``start``; ``rate_hz`` NaN by crank angle; ``shaft_hz`` 0
-    where there is no shaft, NaN where its speed is unknown.
+    There are ``rate`` samples per ``unit`` ("s" or "rev"), the first at ``start``; ``rate_hz`` is NaN by crank angle;
+    ``shaft_hz`` is 0 where there is no shaft, NaN where its speed is unknown.
     """
 
     names: Sequence[str]
@@ -472,7 +472,10 @@ class Sampled:
     shaft_hz: float
 
     def span(self, at: Ints, n_samples: int) -> tuple[float, float]:
-        """From when to when ``at`` reaches, all of the ``n_samples`` where it names none."""
+        """Begin and end, in ``unit``, of the range over the spans ``at`` (spans, 2) of samples.
+
+        That of all ``n_samples`` where ``at`` is empty.
+        """
         first, last = (int(at.min()), int(at.max())) if len(at) else (0, n_samples)
         return self.start + first / self.rate, self.start + last / self.rate
 
@@ -480,11 +483,18 @@ class Sampled:
 def judged(
     signals: FloatArray, known: Sequence[list[SignalFault]], sampled: Sampled, path: Path, *, settings: IngestSettings
 ) -> list[QualityFlag]:
-    """Flags of the ``signals`` (channel, sample), of which what is lost becomes NaN in place and spikes are bridged.
+    """Quality flags of the ``signals``; in place, lost samples become NaN and spikes are bridged.
 
-    ``known`` faults by channel were found before; the recording, ``sampled`` so, lies at ``path``; ``settings`` say
-    what counts. A channel of which too much is lost is left out alone; where that is so of all channels they stay as
-    they are, for the recording is left out as a whole.
+    A channel of which too much is lost is left out alone; where that is so of all channels they stay as they are, for
+    the recording is left out as a whole.
+
+    Parameters
+    ----------
+    signals : (channels, samples), float32 or float64, changed in place
+    known : faults found before, by channel
+    sampled : how the recording was sampled
+    path : file of the recording, named in the flags
+    settings : what counts as a fault
     """
     n_samples = signals.shape[1]
     faults = [list(own) for own in known]

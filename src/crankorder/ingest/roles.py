@@ -70,11 +70,11 @@ _SLOW_UNITS = ("°C", "degC", "deg C", "C", "°F", "degF", "F", "K", "%", "%RH")
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its ``name`` and ``source``, what it is for, the unit that the file or its name states, and doubts.
+    """One column: its ``name`` and ``source``, its ``role``, the unit that the file or its name states, and doubts.
 
     ``label`` is the name without its unit; ``doubt`` says what a person should decide about it, empty where nothing.
-    ``values`` (sample,) are empty where they were not read; angles are in degrees. ``kind`` is how an encoder tells
-    the shaft, and ``wrap`` after how much an angle or a count starts anew, 0 for never.
+    ``values`` (samples,) are empty where they were not read; angles are in degrees. ``kind`` is the kind of an encoder,
+    and ``wrap`` the value after which an angle or a count starts anew, in its unit, 0 for never.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Column:
 
     @property
     def seconds(self) -> Floats:
-        """Values of times, in s where no unit is stated."""
+        """Values (samples,) as times in s; a column without a stated unit of time is taken to be in s."""
         timed = self.unit is not None and self.unit.quantity == "time"
         return self.values * (self.unit.factor if self.unit is not None and timed else 1.0)
 

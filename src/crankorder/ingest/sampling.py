@@ -36,9 +36,9 @@ FEWEST_ROWS = 4 * TAPS
 class TimeColumn:
     """What a column of times says: samples per second, its relative uncertainty, and the first time.
 
-    ``n_rows``: rows that count, without zeros at the end; ``places``: of each of them on the uniform grid, where rows
-    are missing in between. ``starts``: first place of each stretch between gaps, and ``offsets`` (stretch,) how many
-    samples it lies behind its places; one stretch without offset where all lie on the grid.
+    ``n_rows`` rows count, those without zeros at the end; ``places`` (rows,) are their places on the uniform grid, None
+    where no row is missing. ``starts`` (stretches,) is the first place of each stretch between gaps, ``offsets``
+    (stretches,) by how many samples it lies behind its places; one stretch without offset where all lie on the grid.
     """
 
     rate_hz: float
@@ -51,7 +51,10 @@ class TimeColumn:
     offsets: Floats = field(default_factory=lambda: np.zeros(1))
 
     def on_grid(self, column: FloatArray) -> FloatArray:
-        """``column`` (row,) on the uniform grid, NaN where rows are missing; a stretch off it in its nearest places."""
+        """``column`` (rows,) on the uniform grid (places,), NaN where rows are missing.
+
+        A stretch off the grid takes its nearest places.
+        """
         kept = column[: self.n_rows]
         if self.places is None:
             return kept
@@ -60,13 +63,13 @@ class TimeColumn:
         return gridded
 
     def align(self, signal: FloatArray) -> None:
-        """Shift each stretch of ``signal`` (place,), as on_grid lays it, onto the grid in place; NaN at its ends."""
+        """Shift each stretch of ``signal`` (places,), as on_grid lays it, onto the grid in place; NaN at its ends."""
         for first, end, offset in zip(self.starts, [*self.starts[1:], signal.size], self.offsets, strict=True):
             if offset:
                 signal[first:end] = shifted(signal[first:end], float(offset))
 
     def places_in_time(self, place: Floats) -> Floats:
-        """Places (n,) on the grid of the times at which a stretch was at ``place`` (n,) of a trace laid on_grid."""
+        """Places (events,) in time, in samples, of what lies at ``place`` (events,) of a trace laid by on_grid."""
         return np.asarray(place + self.offsets[np.searchsorted(self.starts, place, side="right") - 1])
 
 
@@ -300,7 +303,7 @@ class TimeBase(NamedTuple):
         return self.start_s + (self.n_samples - 1) / self.rate_hz
 
     def place(self, time_s: float, settings: IngestSettings) -> float:
-        """Sample at ``time_s``, whole where it is so within the jitter that ``settings`` allow a time."""
+        """Sample number at ``time_s`` [s], with fractions; whole within the jitter that ``settings`` allow a time."""
         at = (time_s - self.start_s) * self.rate_hz
         return round(at) if abs(at - round(at)) <= settings.time_jitter_samples else at
 

@@ -36,7 +36,7 @@ class Gathered:
     variables: dict[str, xr.Variable] = field(default_factory=dict)
 
     def number(self, name: str, default: float = math.nan) -> float:
-        """The attribute ``name``, a number; ``default`` without it."""
+        """The attribute ``name`` as a number in its own unit; ``default`` where there is none."""
         return float(np.asarray(self.attrs.get(name, default)))
 
     @property
