@@ -169,12 +169,16 @@ def _about(long_name: str, units: str = "") -> dict[str, str]:
 
 
 def axis_names(balance: xr.Dataset) -> tuple[str, str]:
-    """What the axes x and y of ``balance`` are called: one cylinder has its own directions, several have Z and X."""
+    """Names of the axes x and y of the balance dataset ``balance`` (system, axis, …).
+
+    An engine of several cylinders, whose dataset has ``moment`` (moment_axis, order), has Z and X; a single cylinder
+    has its own directions.
+    """
     return ("along Z", "along X") if "moment" in balance else ("along the cylinder", "across the cylinder")
 
 
 def alike(curves: xr.DataArray) -> list[list[str]]:
-    """Names of the systems whose ``curves`` (system, …) are the same, together, in their order."""
+    """Names of the systems, grouped where their ``curves`` (system, …) are the same, in the order of ``curves``."""
     limit = NO_FORCE * float(np.abs(curves.values).max())
     groups: dict[str, list[str]] = {}
     for name in map(str, curves["system"].values):
@@ -185,12 +189,12 @@ def alike(curves: xr.DataArray) -> list[list[str]]:
 
 
 def label_of(name: str, balance: xr.Dataset) -> str:
-    """What the system ``name`` of ``balance`` is called."""
+    """Label of the system ``name`` of the balance dataset ``balance`` (system, axis, order)."""
     return str(balance.attrs[PLAIN]) if name == "none" else SYSTEMS[name][0]
 
 
 def called(names: Sequence[str], balance: xr.Dataset) -> str:
-    """``names`` of systems of ``balance``, what they have in common said once: ``"shafts 1 and 4"``."""
+    """``names`` of systems of ``balance`` (system, …) in one text that says common words once: "shafts 1 and 4"."""
     kinds: dict[str, list[str]] = {}
     for name in sorted(names, key=list(SYSTEMS).index):
         kind, _, mark = label_of(name, balance).rpartition(" ")
@@ -199,5 +203,5 @@ def called(names: Sequence[str], balance: xr.Dataset) -> str:
 
 
 def present(balance: xr.Dataset, names: Sequence[str]) -> list[str]:
-    """Those of the ``names`` of systems that ``balance`` has."""
+    """Those of the ``names`` of systems that the dataset ``balance`` (system, …) has."""
     return [name for name in names if name in balance["system"].values]

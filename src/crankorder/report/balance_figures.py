@@ -77,9 +77,9 @@ def _at_highest_speed(balance: xr.Dataset) -> tuple[float, float]:
 def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
     """Force along and across the cylinder against crank angle at the highest speed, before and after each balance.
 
-    Below it the moments of several cylinders: rocking moments left, roll moment right.
-    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
-    ``settings`` of the report.
+    Below it the moments of several cylinders: rocking moments left, roll moment right. ``balance`` is the dataset
+    (system, axis, order, crank_angle) of :func:`crankorder.report.balance_dataset.balance_dataset`, ``title`` that of
+    the engine, ``settings`` are those of the report.
     """
     speed, per_omega = _at_highest_speed(balance)
     rows: list[list[Chart]] = []
@@ -163,8 +163,9 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
     """Amplitude of the force by order along and across the cylinder, and moments of several cylinders, as bars.
 
     Newtons (or N·m) at the highest speed at the left, the amount over squared crank speed at the right, both
-    logarithmic. ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the
-    engine; ``settings`` of the report.
+    logarithmic. ``balance`` is the dataset (system, axis, order) of
+    :func:`crankorder.report.balance_dataset.balance_dataset`, ``title`` that of the engine, ``settings`` are those of
+    the report.
     """
     speed, per_omega = _at_highest_speed(balance)
     least = float(10 ** (-settings.dynamic_range_db / 20))  # of the largest, that a bar has
@@ -232,8 +233,9 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
 
     Counterweights come twice: by the first harmonic alone, whose curves are ellipses, and by all harmonics together.
     Up is along the cylinder, right is across it, to the side that the crank turns to; the crank turns clockwise.
-    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
-    ``settings`` of the report.
+    ``balance`` is the dataset (system, axis, order, crank_angle) of
+    :func:`crankorder.report.balance_dataset.balance_dataset`, ``title`` that of the engine, ``settings`` are those of
+    the report.
     """
     speed, per_omega = _at_highest_speed(balance)
     angle, system = balance["crank_angle"].values, balance["system"].values.tolist()
@@ -288,8 +290,9 @@ def _crank_sense(drawing: Drawing, box: Box) -> None:
 def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Drawing:
     """Turning moment of gas and masses against crank angle at the highest speed, and both by order beside one another.
 
-    ``cycle`` as :func:`crankorder.report.balance_dataset.cycle_dataset` makes it; ``turning`` by speed, of the balance
-    sheet; ``title`` of the engine; ``settings`` of the report.
+    ``cycle`` is the dataset (speed, crank_angle) of :func:`crankorder.report.balance_dataset.cycle_dataset`,
+    ``turning`` the part of the balance sheet by speed, ``title`` that of the engine, ``settings`` are those of the
+    report.
     """
     drawing = Drawing(settings.width_in, settings.height_in)
     speed = float(cycle["speed"].values.max())
@@ -323,8 +326,9 @@ def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, 
 def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
     """Loads at the highest speed: the first cylinder's against crank angle, and every main bearing's as polar diagrams.
 
-    ``cycle`` as :func:`crankorder.report.balance_dataset.cycle_dataset` makes it, with loads; ``title`` of the engine;
-    ``settings`` of the report.
+    ``cycle`` is the dataset (speed, cylinder, direction, crank_angle), with loads, of
+    :func:`crankorder.report.balance_dataset.cycle_dataset`, ``title`` that of the engine, ``settings`` are those of the
+    report.
     """
     speed = float(cycle["speed"].values.max())
     shown = cycle.sel(speed=speed)

@@ -23,7 +23,10 @@ _ROOM = 0.12  # above and below the curves, as a share of their range
 
 
 class Curve(NamedTuple):
-    """A line over the angles of a panel; ``text`` names it in the key of the panel, where it is not empty."""
+    """A line of ``values`` (angles,) over the angles of a panel, in its unit; ``width`` in points.
+
+    ``text`` names it in the key of the panel, where it is not empty.
+    """
 
     values: Floats
     color: str
@@ -67,9 +70,10 @@ class Chart(NamedTuple):
 
 
 def draw_chart(drawing: Drawing, box: Box, chart: Chart, angle_deg: Floats, *, limit: float = 0.0) -> Panel:
-    """Panel with the curves of ``chart`` over whole turns; those that are nothing are named alone.
+    """Panel with the curves of ``chart`` over whole turns; curves of zeros are only named.
 
-    ``drawing`` and ``box`` of the panel; ``angle_deg`` of the values; the scale is ±``limit``, or as the curves need.
+    The panel lies on ``drawing`` in ``box``; ``angle_deg`` (angles,) are the crank angles [deg] of the values, from 0.
+    The scale is ±``limit`` in the unit of the chart, or as the curves need where that is 0.
     """
     title, unit, curves, label = chart
     values = np.array([np.zeros(len(angle_deg)), *(curve.values for curve in curves)])
@@ -123,7 +127,10 @@ def draw_bars(
 
 
 class Polar(NamedTuple):
-    """A closed curve, its real part upwards and its imaginary part to the right, in a frame of ±``limit``."""
+    """A closed ``curve`` (points,), real part upwards and imaginary part to the right, in a frame of ±``limit``.
+
+    Both have one unit; ``captions`` are the lines of text above the frame.
+    """
 
     curve: Complexes
     color: str
@@ -177,7 +184,7 @@ def _polar(drawing: Drawing, box: Box, polar: Polar) -> None:
 
 
 def arrow_head(drawing: Drawing, tail: Floats, tip: Floats, color: str) -> None:
-    """Head of an arrow on the ``drawing`` at ``tip`` that comes from ``tail``, in inches, in ``color``."""
+    """Head of an arrow in ``color`` on the ``drawing`` from ``tail`` (2,) at ``tip`` (2,), both x and y in inches."""
     along = 0.11 * (tip - tail) / max(float(np.hypot(*(tip - tail))), 1e-12)
     across = 0.4 * along[::-1] * (-1.0, 1.0)
     drawing.add(Area(np.array([tip, tip - along + across, tip - along - across]), color, name="sense"))
@@ -193,7 +200,10 @@ def headed(drawing: Drawing, name: str, what: str, sentence: str, settings: Repo
 
 
 def frame_around(largest: float) -> float:
-    """Half the side of a frame around a curve that reaches ``largest``: a round number above it, 1 where that is 0."""
+    """Half the side of a frame around a curve of up to ``largest``, 0 or more, in one unit: a round number above it.
+
+    It is 1 where ``largest`` is 0.
+    """
     if largest == 0:
         return 1.0
     decade = 10.0 ** math.floor(math.log10(largest))

@@ -228,9 +228,9 @@ def _largest_left(layout: Part, speed_rpm: float) -> str:
 
 
 def tolerance_sentences(study: Part, speed_rpm: float) -> list[str]:
-    """What a series leaves, and what one mistiming adds.
+    """Sentences on the force and couple that a series of engines leaves, and on what one mistiming adds.
 
-    ``study``: of the tolerances. ``speed_rpm``: at which couples are named, > 0.
+    ``study`` is that of the tolerances; ``speed_rpm`` is the crank speed [rpm], above 0, at which couples are named.
     """
     spread, rocking = study["force_g_mm"], study["couple_g_mm2"]
     largest, worst = (max(left, key=lambda order: left[order]["95 %"]) for left in (spread, rocking))

@@ -71,7 +71,7 @@ def _cell_text(cell: float | str) -> str:
 
 
 def short_number(value: float, *, digits: int = DIGITS) -> str:
-    """``value`` to at most ``digits`` significant digits, without the zeros that end it."""
+    """``value``, in any unit, to at most ``digits`` significant digits, without trailing zeros behind the point."""
     text = number_text(value, digits=digits)
     return text if "." not in text or "e" in text else text.rstrip("0").rstrip(".")
 

@@ -22,11 +22,12 @@ _TREND_RIGHT, _TREND_TOP, _TREND_LEAST_DB = 2.6, 0.85, 3.0
 
 
 def order_change_figure(changes: xr.Dataset, comparison: Comparison, *, settings: ReportSettings) -> Drawing:
-    """Second test over first [dB] with 95 % bands against speed, of the orders that changed; a panel per channel.
+    """Second test over first [dB] with 95 % bands against speed [rpm], of the orders that changed; a panel per channel.
 
     Orders that did not change are light lines; dots are speeds at which a change is claimed.
 
-    ``changes`` the dataset ``order_change`` of a ``comparison`` with its sentences; ``settings`` of the report.
+    ``changes`` is the dataset ``order_change`` (line, speed) of ``comparison``, a line being an order in a channel;
+    ``settings`` are those of the report.
     """
     channels = list(dict.fromkeys(changes["channel"].values.tolist()))
     columns = min(len(channels), _COLUMNS)
