@@ -174,10 +174,11 @@ _CURVE_POINTS = 200
 
 @dataclass(frozen=True)
 class LevelMap:
-    """Amplitudes (speed, place) of one channel, slowest speed first; places are frequencies [Hz] or orders.
+    """``amplitude`` (speeds, places) of one channel at ``speed`` (speeds,) [rpm], rising, and ``place`` (places,).
 
-    ``label`` of the level that refers to ``reference``; ``unknown`` spectra have no speed and no place. Where no speed
-    at all is known, spectra are stacked by number.
+    Places are frequencies [Hz], or orders where ``by_order``. ``label`` is that of the level, which refers to
+    ``reference``; ``unknown`` spectra have no speed and are not shown. Where no speed at all is known, spectra are
+    stacked by number.
     """
 
     speed: Floats
@@ -202,22 +203,22 @@ class LevelMap:
         return speed_cells(self.speed)
 
     def rpm(self, height: Floats | float) -> Floats:
-        """Speed at a ``height`` (any shape) of the map: a strip of one speed has no other, however high it is drawn."""
+        """Speed [rpm] at a ``height`` (any shape) of the map; a strip of one speed has that speed at any height."""
         alone = len(self.speed) == 1 and not self.timeless
         return np.asarray(self.speed[0] + 0.0 * np.asarray(height) if alone else height)
 
     def of_order(self, order: float, height: Floats | float) -> Floats:
-        """Abscissa of an ``order`` at the ordinate ``height``: its frequency [Hz], or itself on an order map.
+        """Abscissa of an ``order`` at the ordinate ``height`` [rpm]: its frequency [Hz], or itself on an order map.
 
-        ``height``: any shape.
+        ``height`` has any shape, which the result has too.
         """
         rpm = self.rpm(height)
         return order + 0.0 * rpm if self.by_order else order * rpm / 60
 
     def of_hertz(self, hertz: Floats | float, height: Floats | float) -> Floats:
-        """Abscissa of a frequency ``hertz`` at the ordinate ``height``: itself, or its order on an order map.
+        """Abscissa of a frequency ``hertz`` [Hz] at the ordinate ``height`` [rpm]: itself, or an order on an order map.
 
-        ``hertz`` and ``height``: any shape.
+        ``hertz`` and ``height`` have any shapes that broadcast; the result has their joint shape.
         """
         rpm = self.rpm(height)
         return 60 * hertz / rpm if self.by_order else hertz + 0.0 * rpm

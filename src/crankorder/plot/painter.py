@@ -53,9 +53,9 @@ def _look() -> Mapping[str, object]:
 
 
 def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
-    """Logarithmic y axis of ``axes`` from ``low`` to ``high``: decades, and 2 and 5 between where they are few.
+    """Make the y axis of ``axes`` logarithmic, with ticks at decades, and at 2 and 5 between where these are few.
 
-    ``most_ticks`` labelled at most.
+    It reaches from ``low`` to ``high``, both above 0 and in the unit of the axis; ``most_ticks`` are labelled at most.
     """
     axes.set_yscale("log")
     axes.set_ylim(low, high)
@@ -158,7 +158,7 @@ class Painted(Artist):
         self._drawing = drawing
 
     def drawing(self, magnification: float = 1.0) -> Drawing:
-        """What is drawn; maps finer by the ``magnification``."""
+        """What is drawn; the ``magnification``, a factor on the pixels of maps, is not used."""
         assert self._drawing is not None
         return self._drawing
 
@@ -181,7 +181,7 @@ class PaintedPanel(Painted):
         self.set_clip_on(False)
 
     def drawing(self, magnification: float = 1.0) -> Drawing:
-        """What is drawn for the limits and the size that the axes now have; maps finer by the ``magnification``."""
+        """What is drawn for the present limits and size of the axes; ``magnification`` is a factor on maps' pixels."""
         axes: Any = self.axes
         dpi, log_y = axes.get_figure().dpi, axes.get_yscale() == "log"
         left, bottom, width, height = (float(edge) / dpi for edge in axes.bbox.bounds)

@@ -51,7 +51,10 @@ def interval_of(record: object, key: str) -> tuple[float, float] | None:
 
 
 def decimals_of(width: float, value: float) -> int:
-    """Decimals that resolve a quarter of an interval of ``width``, and never more than six digits of ``value``."""
+    """Decimals that resolve a quarter of an interval of ``width``, and never more than six digits of ``value``.
+
+    Both are in one unit; ``width`` is 0 or more.
+    """
     size = math.floor(math.log10(max(abs(value), width, 1e-300)))
     wanted = -math.floor(math.log10(0.26 * width)) if width > 0 else 2 - size
     return min(wanted, 5 - size)
@@ -131,7 +134,10 @@ def at_one_speed(findings: Findings) -> bool:
 
 
 def number_text(value: float | None, *, digits: int = 3) -> str:
-    """``value`` to ``digits`` significant digits, without exponent from 1e-4 to 1e6; ``"–"`` where it is not known."""
+    """``value``, in any unit, to ``digits`` significant digits; "–" where it is not known.
+
+    It has no exponent from 1e-4 to 1e6.
+    """
     if value is None or not math.isfinite(value):
         return "–"
     if value == 0:
@@ -234,7 +240,7 @@ def order_estimate(record: Any, findings: Findings) -> str:
 
 
 def is_in_doubt(mode_hz: float, findings: Findings) -> bool:
-    """True where no mode of ``findings`` at ``mode_hz`` is for certain a natural frequency."""
+    """True where no mode of ``findings`` at ``mode_hz`` (Hz, above 0) is a natural frequency for certain."""
     nearest = min(findings.modes, key=lambda mode: abs(mode.frequency_hz - mode_hz), default=None)
     if nearest is None or is_undecided(nearest):
         return True
