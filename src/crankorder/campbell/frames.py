@@ -20,7 +20,10 @@ NUMBERS = MethodNumbers("4-campbell-map.toml", "frames")
 
 
 def sample_rate_hz(recording: xr.Dataset) -> float:
-    """Samples per second of a ``recording``; NaN where it has no rate, or is by crank angle without a speed."""
+    """Samples per second of a ``recording`` (channel, time or crank_angle); NaN where it is not known.
+
+    One by crank angle has the rate of its constant speed, where that is stated.
+    """
     if recording.attrs["domain"] == "crank_angle":
         return float(recording.attrs["samples_per_rev"]) * float(recording.attrs.get("speed_rpm", math.nan)) / 60.0
     return float(recording.attrs.get("rate_hz", math.nan))
@@ -42,9 +45,10 @@ def frame_speeds(
 
 
 def piece_speeds(recording: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float) -> Floats:
-    """Mean speed [rpm] of the pieces of :func:`frame_speeds`; NaN where it is not known, or the shaft does not turn on.
+    """Mean speed [rpm] (pieces,) of pieces of a recording; NaN where it is not known, or the shaft does not turn on.
 
-    ``recording`` and its ``shaft``; ``starts`` (pieces,): first samples at ``rate_hz`` of the pieces of ``length``.
+    ``recording`` is a Recording, ``shaft`` its ShaftAngle; ``starts`` (pieces,) are the first samples, at ``rate_hz``,
+    of the pieces, each ``length`` samples long. The mean is that of :func:`frame_speeds`.
     """
     rpm = np.full(len(starts), np.nan)
     by_angle = recording.attrs["domain"] == "crank_angle"
@@ -65,11 +69,11 @@ def _speeds(shaft: xr.Dataset, begin_s: Floats, length_s: float) -> tuple[Floats
 
 
 def sweep_limit_s(band: xr.Dataset, shaft: xr.Dataset, length_s: float, *, enbw_bins: float, order: float) -> float:
-    """Length in s of a frame in which ``order`` sweeps just over the noise bandwidth; infinite at constant speed.
+    """Length in s of a frame in which ``order`` just sweeps over the noise bandwidth; infinite at constant speed.
 
     Longer frames would smear the line of ``order``, shorter ones would widen it: T = sqrt(B / s) with the noise
-    bandwidth B in bins (``enbw_bins``) and the sweep s of the order in Hz/s. The sweep is that of the ``shaft`` of
-    ``band`` over frames of ``length_s``, of which the tenth that sweeps most is left out.
+    bandwidth B in bins (``enbw_bins``) and the sweep s of the order in Hz/s. The sweep is that of the ShaftAngle
+    ``shaft`` (time) of the BandRecording ``band`` over frames of ``length_s``; the tenth that sweeps most is left out.
     """
     if band.attrs["domain"] == "crank_angle" or not length_s > 0.0:
         return math.inf
@@ -156,7 +160,9 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
 def frame_plan(
     band: xr.Dataset, shaft: xr.Dataset, *, n_samples: int, rate_hz: float, settings: CampbellSettings
 ) -> FramePlan:
-    """FramePlan for ``band`` with ``n_samples`` at ``rate_hz`` and the speeds of ``shaft``, as ``settings`` ask.
+    """FramePlan for the BandRecording ``band`` (channel, time or crank_angle) of ``n_samples`` at ``rate_hz``.
+
+    ``shaft`` is its ShaftAngle, ``settings`` are those of the Campbell map.
 
     Frames are as long as ``settings.resolution_hz`` asks for, or the whole record, or, where the order
     ``settings.sweep_order`` would sweep further than the noise bandwidth, a whole number of times shorter.

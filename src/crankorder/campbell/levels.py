@@ -115,9 +115,9 @@ def third_octaves() -> tuple[LevelBand, ...]:
 
 
 def limit_bands(quantity: str, low_hz: float, high_hz: float) -> tuple[LevelBand, ...]:
-    """The bands that a limit on ``quantity`` from ``low_hz`` to ``high_hz`` is judged in.
+    """The three bands in which a limit on ``quantity`` from ``low_hz`` to ``high_hz`` (Hz) is judged.
 
-    As it is, without and with what lies at its ends.
+    They are the band itself, and the band without and with the lines at its ends.
     """
     kinds: tuple[Kind, ...] = ("broad band", WITHOUT_ENDS, WITH_ENDS)
     return tuple(LevelBand(quantity, low_hz, high_hz, kind) for kind in kinds)
@@ -128,9 +128,9 @@ def level_frames(recording: xr.Dataset, shaft: xr.Dataset, *, bands: Sequence[Le
 
     Parameters
     ----------
-    recording : the full-band Recording; by crank angle it is taken as one at constant speed, without a speed it gives
-        no frames
-    shaft : its ShaftAngle
+    recording : the full-band Recording (channel, time or crank_angle); by crank angle it is taken as one at constant
+        speed, without a speed it gives no frames
+    shaft : its ShaftAngle (time)
     bands : bands and quantities; a level is one of them in one channel. One that a channel cannot give (the velocity
         of a pressure) is left out; one that the rate does not reach ends at rate / 2.56 (``reached_hz``)
     frame_s : length of the pieces in s; shorter ones are taken where the recording is short or the speed sweeps
@@ -372,7 +372,11 @@ LEVEL_COLUMNS = {
 
 
 def level_coords(keys: Sequence[LevelKey], reached_hz: ArrayLike, si: ArrayLike) -> Variables:
-    """Coordinates of the levels of these ``keys``, which end at ``reached_hz``, in units of ``si`` SI units."""
+    """Coordinates (level,) of the levels of these ``keys``.
+
+    ``reached_hz`` (levels,) are the frequencies [Hz] at which their bands end, ``si`` (levels,) the SI units in one
+    unit of each.
+    """
     columns = [*([key[place] for key in keys] for place in range(6)), reached_hz, si]
     return {
         name: described("level", np.array(column, dtype=np.str_ if place < 4 else np.float64), unit, text)
