@@ -48,7 +48,7 @@ PASS_SAMPLES = 65_536
 
 @dataclass(frozen=True)
 class DecimationStage:
-    """One FIR low-pass of symmetric ``taps`` that keeps every ``factor``-th sample."""
+    """One FIR low-pass of symmetric ``taps`` (taps,), an odd number, that keeps every ``factor``-th sample."""
 
     factor: int
     taps: Floats

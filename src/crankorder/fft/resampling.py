@@ -39,7 +39,10 @@ BETWEEN = 1.02
 
 
 def kaiser_error(taps: int, pass_band: float) -> float:
-    """Error that Kaiser (1974) expects of a windowed sinc of ``taps`` for content up to ``pass_band`` of the rate."""
+    """Relative error that Kaiser (1974) expects of a windowed sinc of ``taps`` for content within ``pass_band``.
+
+    ``pass_band`` is a share of the sample rate, 0 to 0.5.
+    """
     return float(10.0 ** (-0.05 * (4.57 * np.pi * (1.0 - 2.0 * pass_band) * (taps - 1) + 7.95)))
 
 

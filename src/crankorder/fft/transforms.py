@@ -197,7 +197,7 @@ def integrated(
     rate_hz : samples per second
     times : 1 from acceleration to velocity, 2 to displacement
     highpass_hz : half of the power passes there; below all drift of the integral is taken out
-    half_octaves : half the width of the edge of the high-pass
+    half_octaves : half the width of the edge of the high-pass, octaves
 
     The spectrum is divided by (j ω)^``times``. At its ends the signal is faded in and out over ``faded_samples``, so
     that the lines in it do not leak into the low frequencies, which an integral magnifies; what was faded is NaN.
@@ -224,15 +224,18 @@ def integrated(
 
 
 def faded_samples(n_samples: int, rate_hz: float, highpass_hz: float) -> int:
-    """Samples at each end over which a signal is faded: a period of ``highpass_hz`` at ``rate_hz``.
+    """Samples at each end over which a signal is faded: a period of ``highpass_hz`` at ``rate_hz`` samples per second.
 
-    Of a short recording an eighth of its ``n_samples``.
+    In a short recording it is an eighth of its ``n_samples``.
     """
     return min(math.ceil(rate_hz / highpass_hz), n_samples // 8)
 
 
 def faded(n_samples: int, first: int, last: int) -> Floats:
-    """Weights (``n_samples``,) that rise by a squared sine over the ``first`` samples and fall over the ``last``."""
+    """Weights (samples,), 0 to 1, that rise by a squared sine over the ``first`` samples and fall over the ``last``.
+
+    There are ``n_samples`` of them.
+    """
     made = np.ones(n_samples)
     for ends, at in ((first, slice(0, first)), (last, slice(n_samples - last, n_samples))):
         rise = np.sin(0.5 * np.pi * (np.arange(ends) + 0.5) / max(ends, 1)) ** 2

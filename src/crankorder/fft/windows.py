@@ -32,7 +32,7 @@ LEAST, LARGEST = -1021, 1023
 
 @dataclass(frozen=True)
 class Window:
-    """A window of ``values`` (samples,) with its name; its sums give the scalings of a spectrum."""
+    """A window of ``values`` (samples,) with its ``name``; its sums give the scalings of a spectrum."""
 
     name: str
     values: Floats
@@ -98,7 +98,8 @@ def hann(n_samples: int) -> Window:
 def window_named(name: str, n_samples: int, *, kaiser_beta: float = 14.0) -> Window:
     """Periodic window ``name`` of ``n_samples``, one of TERMS or ``kaiser`` (Kaiser 1974), whose largest value is 1.
 
-    ``kaiser_beta`` lowers the side lobes of ``kaiser``. Raises ValueError for another name.
+    ``kaiser_beta``, 0 or more and without unit, is the shape of ``kaiser``: more lowers its side lobes. Raises
+    ValueError for another name.
     """
     if name == "kaiser":
         return Window("kaiser", np.kaiser(n_samples + 1, kaiser_beta)[:-1])
@@ -116,7 +117,8 @@ def _cosines(name: str, n_samples: int) -> Window:
 def power_of_two(values: NDArray[Any]) -> Floats:
     """Power of two (channels, 1, …) next above the largest magnitude of each channel, 2 where that is 0 or unknown.
 
-    ``values`` (channels, …) real or complex, in any unit; NaN is left out.
+    ``values`` (channels, …) are real or complex, in any unit; NaN is left out. The power has exponents from LEAST to
+    LARGEST.
     """
     axes = tuple(range(1, values.ndim))
     if np.iscomplexobj(values):
