@@ -351,10 +351,11 @@ CLEARANCE_ORDERS = 0.3
 
 @dataclass(frozen=True)
 class Twin:
-    """What a twin is made of: results by group, how its test was recorded and analysed, and what its manifest states.
+    """What a twin is made of: results of its test, how this was recorded and analysed, and what its manifest states.
 
-    ``pulse_step_s`` is the grid that the pulse times lie on, 0 where they are exact; without pulses the mean speed is
-    all that is told of the shaft.
+    ``tracks`` (channel, order, speed), ``campbell`` (channel, speed, frequency), ``order_map`` (channel, speed, order)
+    and ``shaft`` (recording, knot) are groups of the results. ``pulse_step_s`` is the grid of the pulse times, 0 where
+    they are exact; without pulses only the mean speed of the shaft is told.
     """
 
     tracks: xr.Dataset
@@ -372,7 +373,10 @@ class Twin:
 
 @dataclass(frozen=True)
 class TwinRecording:
-    """A recording of a twin: samples (channels, samples), pulse and mark times in s, its mean speed."""
+    """A recording of a twin: ``signals`` (channels, samples) and its mean speed [rpm].
+
+    ``pulse_times_s`` (pulses,) and ``mark_times_s`` (marks,) are in s.
+    """
 
     name: str
     signals: Floats
@@ -396,7 +400,10 @@ def probe_orders(twin: Twin) -> Floats:
 
 
 def probe_amplitudes(twin: Twin, rng: np.random.Generator, n_probes: int) -> Floats:
-    """Amplitudes (channels, ``n_probes``): ``LADDER`` dealt by ``rng``, times the standard error of ``twin``."""
+    """Amplitudes (channels, probes) of ``n_probes`` probes, in the units of the channels.
+
+    They are the steps of ``LADDER``, drawn by ``rng``, times the standard error of the order map of ``twin``.
+    """
     error = np.nanmedian(twin.order_map["standard_error"].values, axis=(1, 2))
     rungs: Floats = rng.permutation(LADDER)[:n_probes]
     return np.outer(error, rungs)
@@ -405,11 +412,9 @@ def probe_amplitudes(twin: Twin, rng: np.random.Generator, n_probes: int) -> Flo
 def twin_recordings(
     twin: Twin, probes: Floats, amplitudes: Floats, rng: np.random.Generator
 ) -> Iterator[TwinRecording]:
-    """The recordings of a ``twin``, with ``probes`` (orders) of constant ``amplitudes`` (channels, probes).
+    """The recordings of a ``twin``, with ``probes`` (probes,), orders, of constant ``amplitudes`` (channels, probes).
 
-    Noise and phases that are not known come from ``rng``.
-
-    Raises RequestError where the speeds of the test are not known.
+    Noise and unknown phases come from ``rng``. Raises RequestError where the speeds of the test are not known.
     """
     for number, name in enumerate(twin.shaft["recording"].values.astype(str)):
         row = twin.shaft.isel(recording=number)

@@ -70,8 +70,8 @@ class ClusterTask:
 def analyse_there(packed_job: bytes, task: ClusterTask) -> bytes | CrankorderError | None:
     """Analyse the recording of ``task`` on a worker, as ``packed_job``, a pickled ClusterJob, says.
 
-    None where the result was put into the shared store, its bytes where the store is not shared; what is wrong with
-    the recording or the worker is returned, not raised.
+    Returns None where the result was put into the shared store, its bytes where the store is not shared. A fault of the
+    recording (such as InputError) or of the worker (EnvironmentFailure) is returned, not raised.
     """
     job: ClusterJob = pickle.loads(packed_job)
     try:

@@ -312,11 +312,19 @@ def results_of_test(
     flags: Sequence[QualityFlag] = (),
     name_of: Callable[[Path], str] = Path.as_posix,
 ) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError]]:
-    """Datasets by group and findings of the ``test`` of that name, and faults of recordings that the maps leave out.
+    """Datasets by group and findings of a test, and faults of recordings that the maps leave out.
 
-    ``results`` of its recordings, of which ``doubts`` leave some out; ``sources``: what the machine is made of;
-    ``settings`` of all stages; ``flags`` and ``faults`` of the test so far, which the findings tell too; ``name_of``:
-    the recording of a file.
+    The datasets have the dims of ``data_schema/``.
+
+    Parameters
+    ----------
+    results : those of its recordings
+    doubts : recordings and channels to leave out
+    test : name of the test
+    sources : what the machine is made of
+    settings : those of all stages
+    faults, flags : of the test so far, which the findings tell too
+    name_of : gives the name of the recording in a file
     """
     made = analyse_test(results, doubts, test=test, sources=sources, settings=settings)
     left_out: list[CrankorderError] = [
@@ -489,9 +497,10 @@ def analysed(
 ) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError | str]]:
     """Groups and findings of ``recordings``, as a run makes them of files, and what was left out and why.
 
-    ``settings`` of all stages; ``tables`` of the manifest that say what the machine is made of; ``engine``: its name or
-    path; ``test``: the name of the test; ``strict`` leaves out what is "suspect" too.
-    Raises RequestError or ManyErrors where the request is wrong, InputError where no recording can be used.
+    The groups are datasets by name with the dims of ``data_schema/``. ``settings`` are those of all stages, ``tables``
+    those of the manifest that say what the machine is made of; ``engine`` is its name or path, ``test`` the name of the
+    test; ``strict`` also leaves out recordings with "suspect" flags. Raises RequestError or ManyErrors where the
+    request is wrong, InputError where no recording can be used.
     """
     given = _each(recordings)
     # manifest of the recordings given with the tables that say what the machine is made of

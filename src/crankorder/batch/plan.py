@@ -171,14 +171,21 @@ def plan_tests(
     name: str | None = None,
     report: Mapping[str, object] | None = None,
 ) -> Planned:
-    """Plans of the tests in ``folders``, whose results go below ``out``, and what is wrong with other folders.
+    """Plans of the tests in ``folders``, whose results go below ``out``, and the faults of other folders.
 
-    ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe that
-    the manifest names; ``tolerance`` (relative amplitude error), ``max_memory_mb`` (megabytes of samples of one
-    recording in memory) and ``report`` (settings of the report by key) go before those of the recipe; ``name`` of the
-    one test before that of its manifest.
-    Raises ManyErrors with the faults of all folders where none can be run, or results would lie where they must not;
-    nothing has been written then.
+    Parameters
+    ----------
+    folders : folders of the tests
+    out : folder below which results go
+    manifest : a manifest that lies elsewhere than the data
+    recipe : name or path, in place of the recipe that the manifest names
+    tolerance : relative amplitude error, in place of that of the recipe
+    max_memory_mb : megabytes of samples of one recording in memory, in place of those of the recipe
+    name : name of the test, where there is only one, in place of that in its manifest
+    report : settings of the report by key, in place of those of the recipe
+
+    Raises RequestError where several tests are given one name. Where no folder can be run, or results would lie where
+    they must not, raises the fault, or ManyErrors with those of all folders; nothing has been written then.
     """
     asked = {
         "orders": {} if tolerance is None else {"tolerance": tolerance},
