@@ -118,7 +118,11 @@ def _recorded_levels(
 
 
 def emptied(frame: xr.Dataset, flags: Sequence[QualityFlag]) -> xr.Dataset:
-    """``frame`` of a recording, in which the channels that ``flags`` leave out look as if nothing had been recorded."""
+    """``frame`` (dims of ``data_schema/``) of a recording, without data in the channels that ``flags`` leave out.
+
+    Their estimates are NaN, or 0 such as degrees of freedom, as if nothing had been recorded; ``frame`` itself stays as
+    it is.
+    """
     names = [flag["channel"] for flag in flags if flag.get("left_out") == "channel"]
     if not names or "channel" not in frame.dims:
         return frame
@@ -135,8 +139,8 @@ def emptied(frame: xr.Dataset, flags: Sequence[QualityFlag]) -> xr.Dataset:
 def short_recordings(lengths_s: Mapping[str, float]) -> list[QualityFlag]:
     """A remark on each recording that is shorter than the others, where nearly all of these last equally long.
 
-    ``lengths_s``, by name, are those over which the shaft is known: recordings whose shaft stood still for a while may
-    be named.
+    ``lengths_s`` are the lengths [s] by name over which the shaft is known: recordings whose shaft stood still for a
+    while may be named.
     """
     lengths = np.array(list(lengths_s.values()))
     if len(lengths) < LENGTHS.fewest_recordings:
@@ -269,7 +273,7 @@ def _slopes(lines: Complexes, begin: Floats) -> tuple[Floats, Floats]:
 
 
 def flags_of_all(datasets: Iterable[xr.Dataset]) -> list[QualityFlag]:
-    """Quality flags of the ``datasets``, each once, in the order in which they were raised."""
+    """Quality flags of the ``datasets`` (any dims), each once, in the order in which they were raised."""
     flags: list[QualityFlag] = []
     for dataset in datasets:
         flags += [flag for flag in flags_of(dataset) if flag not in flags]
@@ -278,7 +282,10 @@ def flags_of_all(datasets: Iterable[xr.Dataset]) -> list[QualityFlag]:
 
 @dataclass(frozen=True)
 class RecordingResult:
-    """What one recording gives to its test: its shaft, and the frames by noun that the wanted results need."""
+    """What one recording gives to its test: its ``shaft`` (time), and the ``frames`` that the wanted results need.
+
+    The frames go by noun, with the dims of the schema of each in ``data_schema/``.
+    """
 
     shaft: ShaftAngle
     frames: Mapping[Any, xr.Dataset]

@@ -144,8 +144,9 @@ _Flags = dict[tuple[str, str], QualityFlag]
 class RecordedLevel:
     """One recording: its name, lowest and highest speed [rpm], and by channel name root mean square and ``floor``.
 
-    The floor is the root of the middling bin of the power spectrum, which neither lines nor modes raise. ``blocks``
-    holds that of each block of the spectrum, ``lines`` the amplitude of each order, NaN where none stands out.
+    The floor is the root of the median bin of the power spectrum, which neither lines nor modes raise. ``blocks``
+    (blocks,) holds that of each block of the spectrum, ``lines`` (orders,) the amplitude of each order, NaN where none
+    stands out. All are in the units of the channels.
     """
 
     recording: str
