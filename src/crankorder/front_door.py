@@ -82,16 +82,17 @@ def recording(
     rate_hz : samples per second of signals, encoder and index; > 0
     samples_per_rev : samples per crank revolution instead, where they were taken by crank angle
     unit : of all channels, or of each by name: "m/s2", "g", "mm/s", "Pa", "bar", "N", "V" …
-    pulse_times_s : times of the encoder's pulses, s, ascending, on the clock of the samples (``start_s``)
+    pulse_times_s : (pulses,), s, times of the encoder's pulses, ascending, on the clock of the samples (``start_s``)
     encoder : the encoder's voltage, (samples,), instead
     speed_rpm : speed of the crank instead, a number or (samples,)
     pulses_per_rev : pulses per revolution of the whole wheel, missing teeth included: 60 of a 60-2 wheel
     missing_teeth : teeth that the wheel lacks in one gap: 2 of a 60-2 wheel
-    index : the once-per-revolution mark: its times in s beside ``pulse_times_s``, its voltage beside ``encoder``
-    index_to_tdc_deg : angle from the mark to top dead centre; without it phases refer to the mark
+    index : the once-per-revolution mark: its times (marks,) in s beside ``pulse_times_s``, its voltage (samples,)
+        beside ``encoder``
+    index_to_tdc_deg : angle from the mark to top dead centre, degrees; without it phases refer to the mark
     ratio : encoder revolutions per crank revolution
     cycle : "four-stroke", "two-stroke", "rotor", or "none" of a structure without a shaft
-    start_s, start_deg : time or crank angle of the first sample
+    start_s, start_deg : time in s, or crank angle in degrees, of the first sample
     name : what flags and errors call the recording
 
     What was doubted or mended stands in ``attrs["quality"]`` (JSON); what is suspect in a test is warned of.
@@ -169,9 +170,10 @@ def read(path: str | os.PathLike[str], *, manifest: str | os.PathLike[str] | Non
 
 
 def crank_angle(recording: xr.Dataset) -> xr.Dataset:
-    """Crank angle (rev), speed (rpm) and standard error (rev) of ``recording`` on time knots (ShaftAngle).
+    """Crank angle (rev), speed (rpm) and standard error (rev), each (time,), of ``recording`` on knots (ShaftAngle).
 
-    Raises InputError where the pulses tell no angle.
+    Raises RequestError where ``recording`` is no dataset, SchemaError where it is no Recording, InputError where the
+    pulses tell no angle.
 
     >>> import numpy as np, crankorder as co
     >>> turns = np.arange(0.0, 4.0, 1 / (25.0 * 60))
@@ -267,8 +269,9 @@ def order_tracks(
 def envelope(recordings: Recordings, *, bearings: Tables = (), recipe: str | None = None) -> xr.Dataset:
     """Order spectra of the squared envelope of ``recordings`` (EnvelopeMap), in the band that shows strikes most.
 
-    ``bearings``: what strikes are looked for, with the keys of the manifest's ``[[bearings]]``; at least one.
-    ``recipe`` is that of :func:`order_map`. Raises InputError where no recording can be used.
+    Variables are (channel, speed, order). ``bearings`` say which strikes are looked for, with the keys of the
+    manifest's ``[[bearings]]``; at least one. ``recipe`` is that of :func:`order_map`. Raises RequestError without
+    bearings, InputError where no recording can be used.
 
     >>> import numpy as np, crankorder as co
     >>> rng, ring = np.random.default_rng(1), np.exp(-np.arange(60) / 15) * np.cos(1.9 * np.arange(60))
@@ -334,11 +337,11 @@ def run(
 
     Folders are analysed by their manifests, or by ``manifest``, and their results written into ``out``; what comes back
     is :func:`open` of it. Recordings are analysed in memory and nothing is written; ``engine``, ``bearings``,
-    ``gears``, ``motor`` and ``test`` say then what a manifest would. ``recipe`` and ``tol`` are those of
-    :func:`order_map`; ``jobs`` recordings are analysed at a time (all cores); ``fresh`` recomputes what is finished;
-    ``strict`` leaves out recordings with flags of severity "suspect".
-    What had to be left out is told by warnings. Raises RequestError or ManyErrors before work starts where the request
-    is wrong, NoUsableRecordingError where nothing could be used.
+    ``gears``, ``motor`` and ``test`` say then what a manifest would. ``recipe`` and ``tol`` (relative amplitude error)
+    are those of :func:`order_map`; ``jobs`` recordings are analysed at a time (all cores); ``fresh`` recomputes what is
+    finished; ``strict`` leaves out recordings with flags of severity "suspect". What had to be left out is told by
+    warnings. Raises RequestError or ManyErrors before work starts where the request is wrong, NoUsableRecordingError
+    where nothing could be used.
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0

@@ -413,7 +413,10 @@ FRAMES_OF: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """What a test gives to its report: datasets by result name and the ``shaft``; findings, empty where none asked."""
+    """What a test gives to its report: datasets by result name, ``shaft`` among them, and findings.
+
+    Dims are those of ``data_schema/``; findings are empty where none are asked for.
+    """
 
     datasets: dict[str, xr.Dataset]
     findings: Findings
@@ -445,7 +448,10 @@ _shafts: dict[int, tuple[Any, ShaftAngle]] = {}
 
 
 def analyse_shaft(recording: xr.Dataset, settings: Settings) -> ShaftAngle:
-    """Crank angle and speed of the ``recording`` alone, with ``settings``: worked out once for all of its maps."""
+    """Crank angle [rev] and speed [rpm], each (time,), of the Recording ``recording``: computed once for all its maps.
+
+    ``settings`` are those of all stages. Raises InputError where the encoder cannot be decoded.
+    """
     attrs, held, orders = recording.attrs, recording.variables, settings.orders
     told = [held[name].values.tobytes() for name in held if name != "signal"]
     key = (repr(attrs), held["signal"].shape, told, settings.shaft, orders.max_order, orders.revs_per_frame)
@@ -467,8 +473,9 @@ def analyse_recording(
 ) -> RecordingResult:
     """Shaft angle and frames of the recording in ``source``, a file or a Recording, with ``settings``.
 
-    ``manifest`` describes it; ``engine``: of the test, whose bearings are looked for where the manifest
-    names none. Raises InputError, naming the file, where the recording cannot be used.
+    Their dims are those of ``data_schema/``. ``manifest`` describes the recording; ``engine`` is that of the test,
+    whose bearings are looked for where the manifest names none. Raises InputError, which names the file, where the
+    recording cannot be used.
     """
     frames = frames_wanted(settings)
     bearings = manifest.bearings or (engine.bearings if engine is not None else ())
