@@ -119,7 +119,7 @@ def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
     Parameters
     ----------
     correlation : (lags, frames), that of :func:`neighbour_correlation`
-    trend : (frames,), speed of the frames, whose linear influence is no noise; None where all are alike
+    trend : (frames,), rpm, speed of the frames, whose linear influence is no noise; None where all are alike
     """
     n = correlation.shape[1]
     given = [np.ones(n)] if trend is None else [np.ones(n), trend - trend.mean()]
@@ -158,11 +158,11 @@ def noise_of_mean(spectrum: Complexes, shape: Contrasts) -> Floats:
 
 
 def independent_by_memory(scatter: Complexes, owner: Ints, count: Ints) -> Floats:
-    """Independent complex spectra (channels, orders) that frames are worth, for their memory of one another.
+    """Number (channels, orders) of independent complex spectra that frames are worth, as neighbours correlate.
 
-    The scatter of a frame correlates with the next one's by their overlap and, where noise excites a resonance, by its
-    decay: (1 - r) / (1 + r) of all frames are independent for a first-order memory r, from whose square the 1 / count
-    that chance adds is taken off.
+    The scatter of a frame correlates with that of the next one through their overlap and, where noise excites a
+    resonance, its decay: (1 - r) / (1 + r) of all frames are independent for a first-order correlation r, from whose
+    square the 1 / count that chance adds is subtracted.
 
     Parameters
     ----------
@@ -352,11 +352,16 @@ class SizeRows:
     high: Floats
 
     def with_scatter(self, held: list[HeldSizes], *, noise: Floats, independent: Floats) -> SizeRows:
-        """The same, as wide as recordings and frames differ.
+        """These rows with intervals wide enough for the differences of recordings and frames.
 
-        Recordings of one row differ by a factor, that of their mean has one degree of freedom less than they are. Where
-        the amplitude surely changes within recordings, beyond what ``noise`` (channels, rows) of a frame does that
-        ``independent`` bins (rows,) tell, the interval holds all that frames held.
+        Recordings of one row differ by a factor; its error has one degree of freedom less than there are recordings.
+        Where the amplitude surely changes within recordings, the interval reaches over all values of the frames.
+
+        Parameters
+        ----------
+        held : amplitudes of the frames by recording
+        noise : (channels, rows), noise power of a frame
+        independent : (rows,), independent bins from which ``noise`` is known
         """
         error, dof, low, high = (values.copy() for values in (self.error, self.dof, self.low, self.high))
         for row in sorted({part.row for part in held}):

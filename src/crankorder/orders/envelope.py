@@ -81,10 +81,11 @@ class Stretch(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Frames of envelopes, ``revs`` long in ``steps`` to a revolution, where they lie in each piece, their transform.
+    """Frames of envelopes, ``revs`` long with ``steps`` per revolution, where they lie in each piece, their transform.
 
-    ``reach_hz`` is the highest frequency of the highest order; ``n_independent`` the independent power spectra that all
-    frames are worth; ``rate_hz`` and ``mean_hz`` samples and turns a second, ``revs_per_cycle`` turns of a cycle.
+    ``reach_hz`` is the highest frequency of the highest order, ``n_independent`` the number of independent power
+    spectra that all frames are worth; ``rate_hz`` and ``mean_hz`` are samples and revolutions per second,
+    ``revs_per_cycle`` revolutions per engine cycle.
     """
 
     revs: int
@@ -144,8 +145,8 @@ def recording_envelope(
     envelope's line: of strikes it grows as they do, whatever noise they stand in. At most
     ``settings.envelope_longest_s`` are analysed, in pieces spread over the recording (``analysed_s``).
 
-    Without orders, and flagged "no_envelope_band", where the sampling leaves no room above ``max_order``, the speed is
-    not known, less than eight revolutions were recorded or the recording is by crank angle.
+    The result has no orders, and the flag "no_envelope_band", where the sampling leaves no room above ``max_order``,
+    the speed is not known, fewer than eight revolutions were recorded or the recording is by crank angle.
     """
     bands, pieces, reason = _bands_and_pieces(recording, shaft, settings)
     if reason:

@@ -81,8 +81,9 @@ class Blocks(NamedTuple):
 def band_tree(low_hz: float, high_hz: float, *, least_width_hz: float) -> tuple[Band, ...]:
     """Bands between ``low_hz`` and ``high_hz``, cut into 1, 2, 4, 8, 16 equal ones as long as they stay wide enough.
 
-    ``least_width_hz``: a narrower band cannot follow the highest order of its envelope. Empty where even the whole
-    range is narrower. Of the narrowest, one more begins half way up each: what rings at a border is in its middle.
+    A band narrower than ``least_width_hz`` cannot follow the highest order of its envelope; the result is empty where
+    even the whole range is narrower. Among the narrowest bands one more begins in the middle of each, so that a
+    resonance at a border lies in the middle of a band.
     Source: J. Antoni (2007), Mechanical Systems and Signal Processing 21, p. 108 (binary tree).
     """
     levels = [level for level in TREE_LEVELS if high_hz - low_hz >= level * least_width_hz > 0.0]
@@ -95,7 +96,10 @@ def band_tree(low_hz: float, high_hz: float, *, least_width_hz: float) -> tuple[
 
 
 def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> Blocks:
-    """Spectra of the overlapping blocks of ``signal`` (samples,) from the sample ``begin`` to the sample ``end``."""
+    """Spectra of the overlapping blocks of ``signal`` (samples,) from the sample ``begin`` to the sample ``end``.
+
+    ``begin`` and ``end`` are sample numbers, with fractions.
+    """
     # plan of this thread for the transform of a block of real samples
     if "forward" not in _of_thread.__dict__:
         _of_thread.forward = forward((BLOCK_SAMPLES,), np.float32)
@@ -138,19 +142,19 @@ def without_tones(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
 def envelopes_of(
     blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: Floats, reach_hz: float, toneless: bool = False
 ) -> Envelopes:
-    """Mean of the squared envelope of each of ``bands`` between neighbouring ``edges``, of the signal squared.
+    """Mean squared envelopes (bands, angles) of ``bands`` between neighbouring ``edges``.
 
     The envelope is that of the analytic signal of the band, as a staircase of ``rate_hz``; its mean over each step is
     exact. A line of it at the frequency f thus loses sinc(f / rate_hz) sinc(order / steps per revolution).
 
     Parameters
     ----------
-    blocks : of the signal, from the first of the edges to the last
+    blocks : blocks of the signal, from the first of the edges to the last
     rate_hz : samples per second
-    bands : as wide as each other and as far apart, of a level of :func:`band_tree`
+    bands : bands of one level of :func:`band_tree`: equally wide and equally spaced
     edges : (angles + 1,), increasing positions in samples (with fractions) where the steps of crank angle end
-    reach_hz : highest frequency of the envelope that must be free of what folds
-    toneless : whether tones are taken out first, as :func:`without_tones` does
+    reach_hz : highest frequency of the envelope that must be free of aliases
+    toneless : whether tones are removed first by :func:`without_tones`
     """
     squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float32)
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES

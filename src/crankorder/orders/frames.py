@@ -84,8 +84,8 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     The method is chosen by ``settings.tolerance``. The error that its filters and kernels predict stands beside it
     (``predicted_error``) and that of the fastest frame beside a far denser sampling of it (``achieved_error``): where
     the angle scatters from tooth to tooth and the latter misses the tolerance, all frames are sampled more densely.
-    A recording of what does not turn gives one frame of unknown speed, all NaN.
-    Raises InputError where not even one cycle was recorded.
+    A recording of a structure that does not turn gives one frame of unknown speed, all NaN. Raises InputError where not
+    even one cycle was recorded, RequestError where no kernel meets the tolerance.
     """
     if not shaft.attrs.get("has_shaft", 1):
         return _no_orders(band, shaft, settings)
@@ -265,7 +265,8 @@ def spectra_by_angle(
 ) -> Complexes:
     """Spectra (channels, frames, orders) of ``signals`` at even crank angles on the frames of ``layout``.
 
-    ``signals`` (channels, samples) begin with the first frame; ``samples_per_rev`` and ``usable`` are theirs.
+    ``signals`` (channels, samples) begin with the first frame and have ``samples_per_rev``; ``usable`` (channels,
+    samples) is False in gaps, None where there are none.
     """
     starts = np.arange(len(layout.begin_rev), dtype=np.int64) * layout.hop_rev * samples_per_rev
     length = layout.revs * samples_per_rev

@@ -170,7 +170,7 @@ WHOLE = 1e-6
 
 
 def one_phase_reference(used: Sequence[xr.Dataset]) -> bool:
-    """Whether the OrderFrames ``used`` (channel, frame, order) have one and the same ``phase_reference``, and it is a place on the crank.
+    """Whether the OrderFrames ``used`` (channel, frame, order) share one ``phase_reference``, a place on the crank.
 
     The zero of a count that no index sets is one in a single recording.
     """
@@ -320,9 +320,9 @@ def half_widths(freedom: Floats, *, level: float = 0.95) -> Floats:
 
 
 def error_of(value: float, ends: Sequence[float]) -> float:
-    """Standard error of a stated ``value`` by the wider side of its 95 % interval, of which ``ends`` are the ends.
+    """Standard error of a stated ``value`` from the wider side of its 95 % interval with the ``ends`` (low, high).
 
-    The other side may be cut off at 0, as of sizes and damping ratios.
+    All are in one unit. The narrower side may be cut off at 0, as that of amplitudes and damping ratios is.
     """
     return max(float(ends[1]) - value, value - float(ends[0])) / Z95
 
@@ -400,10 +400,10 @@ def simes(p_values: Floats) -> float:
 
 
 def excess_scatter(misfit: Callable[[float], float], freedom: float, *, most: float, within: float) -> float:
-    """Scatter beyond the errors, up to ``most``, by which ``misfit`` is as large as its degrees of ``freedom``; else 0.
+    """Scatter beyond the errors, 0 to ``most``, at which ``misfit`` equals its degrees of ``freedom``.
 
-    ``misfit`` is the sum of the squares of residuals over their variances, with that scatter in them; the result is
-    known ``within`` that.
+    ``misfit`` of a scatter is the sum of the squares of residuals over their variances, with that scatter in them. The
+    result is exact to ``within``, in its unit; it is 0 where the errors alone explain the misfit.
     Source: Paule and Mandel (1982), J. Res. NBS 87, 377.
     """
     if misfit(0.0) <= freedom:
@@ -412,9 +412,10 @@ def excess_scatter(misfit: Callable[[float], float], freedom: float, *, most: fl
 
 
 def root(function: Callable[[float], float], low: float, high: float, *, within: float) -> float:
-    """Where ``function``, of unlike signs at ``low`` and ``high``, is zero, ``within`` that or a billionth of it.
+    """Root of ``function``, whose signs at ``low`` and ``high`` differ, exact to ``within`` or a billionth of the root.
 
-    By parabolas where they help, else by halving (Chandrupatla 1997). SciPy's own takes half a second to load.
+    It is found by inverse parabolas where they help, else by bisection (Chandrupatla 1997). SciPy's own takes half a
+    second to load.
     """
     a, b, share = high, low, 0.5
     f_a, f_b = function(a), function(b)

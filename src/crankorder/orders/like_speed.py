@@ -257,7 +257,7 @@ class AllFrames:
 
     @property
     def unit(self) -> Floats:
-        """What is taken out of each channel (channels, 1, 1)."""
+        """Factor (channels, 1, 1) that is taken out of each channel, a power of two."""
         return np.ldexp(1.0, self.exponent)[:, None, None]
 
     def of(self, which: Ints) -> Frames:
@@ -362,7 +362,7 @@ class LikeSpeedFrames:
         return np.array([np.mean(self.every.speed_rpm[group]) for group in self.groups])
 
     def at_columns(self, columns: Ints) -> LikeSpeedFrames:
-        """The frames at the orders numbered ``columns`` (rising) alone, for phases that all recordings share."""
+        """The frames at the orders numbered ``columns`` (chosen,), rising; their phases are taken to be shared."""
         every = replace(self.every, spectra=[spectrum[:, :, columns] for spectrum in self.every.spectra])
         beside = np.minimum(np.searchsorted(columns, self.framing.beside[columns]), len(columns) - 1)
         shared, worth = np.ones(len(columns), dtype=np.bool_), self.framing.worth[columns]
@@ -370,10 +370,11 @@ class LikeSpeedFrames:
 
 
 def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
-    """All ``frames`` (OrderFrames) that :func:`common_frames` takes, in rows; those of unknown speed by recording.
+    """All ``frames`` (OrderFrames) that :func:`common_frames` takes, in rows of like speed.
 
     Frames of a sweep fall into bins of ``speed_bin_rpm``. Speeds that are held, as in a stepped test, share a row
-    within that width only where all that they show agrees; nothing says that two of unknown speed ran alike.
+    within that width only where their spectra agree. Each recording of unknown speed has a row of its own, as nothing
+    says that two of them ran alike.
     """
     used, remarks = common_frames(frames)
     every, attrs, order = all_frames(used), used[0].attrs, used[0]["order"].values
@@ -421,8 +422,8 @@ def _at_speed(frames: Frames, framing: Framing) -> AtSpeed:
 def agree(first: AtSpeed, second: AtSpeed, *, with_phase: Bools) -> bool:
     """Whether ``first`` and ``second`` differ nowhere by more than their noise, or by 1 % of the line.
 
-    Lines that are locked are compared by amplitude and phase, by amplitude alone where not ``with_phase`` (orders,);
-    lines that slip by their energy.
+    Locked lines are compared by amplitude and phase, or by amplitude only where ``with_phase`` (orders,) is False;
+    lines that slip are compared by energy.
     """
     freedom = np.maximum(np.minimum(first.freedom, second.freedom), 1.0)
     chance = DIFFER_CHANCE / (2.0 * max(first.energy.size, 1))

@@ -229,8 +229,8 @@ class FrameLayout:
 def swept_revs(course: SpeedCourse, *, settings: OrderSettings, revs_per_cycle: int) -> int:
     """Length in revolutions of the frames of a recording with the SpeedCourse ``course``.
 
-    That of ``settings``, in whole cycles of ``revs_per_cycle``, halved until the speed changes within a frame by no
-    more than :data:`MOST_SWEPT` half of the time, but not below what parts half orders.
+    It is that of ``settings``, in whole cycles of ``revs_per_cycle``, halved until the relative change of the speed
+    within a frame is at most :data:`MOST_SWEPT` half of the time, but never too short to separate half orders.
     """
     revs = max(1, settings.revs_per_frame // revs_per_cycle) * revs_per_cycle
     speed, rate = course.speed_rpm[course.runs], course.rate_rpm_per_s[course.runs]

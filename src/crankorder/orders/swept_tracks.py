@@ -146,9 +146,9 @@ _Part = tuple[_Plan, Complexes, Floats]
 
 @dataclass(frozen=True)
 class NoiseSpectrum:
-    """Spectrum ``power`` (channels, bins) of what no order makes, at ``frequency_hz`` (bins,), over a whole recording.
+    """Spectrum ``power`` (channels, bins) of the noise between the orders of a whole recording.
 
-    NaN where orders stood at all times.
+    It is at ``frequency_hz`` (bins,), and NaN where there was an order at all times.
     """
 
     frequency_hz: Floats

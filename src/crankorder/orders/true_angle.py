@@ -139,7 +139,10 @@ def _swing_by_speed(shaft: xr.Dataset) -> list[float]:
 
 
 def swing_shown(frames: Sequence[xr.Dataset]) -> Complexes:
-    """Speed [rpm] and the swing [rev] by half order that pulses of ``frames`` show: (speeds, 1 + HALF_ORDERS)."""
+    """Speed [rpm] and swing [rev] by half order that pulses of ``frames`` show: (speeds, 1 + HALF_ORDERS).
+
+    ``frames`` are OrderFrames (channel, frame, order); the result has no rows where none of them states it.
+    """
     rows = np.concatenate([np.zeros(0), *(np.atleast_1d(item.attrs.get(SHOWN, ())) for item in frames)])
     return np.asarray(rows.astype(np.float64).view(np.complex128).reshape(-1, 1 + HALF_ORDERS))
 
@@ -174,7 +177,10 @@ def errors_of_rows(frames: Sequence[xr.Dataset], owner: Ints, rows: Sequence[Int
 
 
 def errors_along(shaft: xr.Dataset, time_s: Floats, revs: Floats) -> AngleErrors:
-    """Errors of ``shaft`` at the times ``time_s`` (rows,), each over so many ``revs`` (rows,), above 0."""
+    """Errors (rows,) of the ShaftAngle ``shaft`` at ``time_s`` (rows,) [s], each over ``revs`` (rows,) revolutions.
+
+    ``revs`` are above 0.
+    """
     overall, of_one = _errors(shaft, float(np.median(revs)) if len(revs) else 1.0)
     if not overall > 0.0:
         return AngleErrors(np.zeros(len(time_s)), np.zeros(len(time_s)))
@@ -283,7 +289,10 @@ def left_of(frames: Sequence[xr.Dataset]) -> dict[int, float]:
 
 
 def given_to(amplitude: Floats, frames: Sequence[xr.Dataset]) -> Floats:
-    """Largest amplitude that the rest of the swing in ``frames`` gives to each (…, orders) of ``amplitude``."""
+    """Largest amplitude (…, orders) that the rest of the swing in OrderFrames ``frames`` adds to each order.
+
+    ``amplitude`` (…, orders) is that of the orders on the axis of ``frames``.
+    """
     left = left_of(frames)
     if not any(left.values()):
         return np.zeros(amplitude.shape)
@@ -291,7 +300,7 @@ def given_to(amplitude: Floats, frames: Sequence[xr.Dataset]) -> Floats:
 
 
 def swing_flags(swings: Swings) -> list[QualityFlag]:
-    """What ``swings`` say of the encoder: once for a test whose recordings have one mark, else for each."""
+    """Quality flags on the encoder from ``swings``: once for a test whose recordings have one mark, else for each."""
     of = list(swings.of.items())[: 1 if swings.shared else None]
     return [_flag("all" if swings.shared else name, swing) for name, own in of for swing in own if swing.proved]
 

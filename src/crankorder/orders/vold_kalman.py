@@ -106,7 +106,7 @@ def structural_weight(width: Floats) -> Floats:
 
 
 def impulse_response(lag_bandwidths: Floats) -> Floats:
-    """What the filter gives ``lag_bandwidths`` (any shape) reciprocal bandwidths after an impulse, far below the rate.
+    """Response of the filter ``lag_bandwidths`` (any shape) reciprocal bandwidths after an impulse, far below the rate.
 
     The cosine transform of the gain; its integral over the lag is one.
     """
@@ -115,13 +115,13 @@ def impulse_response(lag_bandwidths: Floats) -> Floats:
 
 
 def taken_in_truth(share: Floats, widest: Floats) -> Floats:
-    """How many times what a second filter takes of the peak of a mode that a sweep passes the first one has taken.
+    """Loss of a mode's peak in the filter over the loss in a second pass of it, as a sweep passes the mode.
 
-    ``share`` (any shape): what the second takes of what the first has left. The spectrum of the envelope that a mode
-    leaves falls exponentially from the order, as the transform of 1 / (1 + i t / τ) does, so that one share belongs to
-    one width of it; of a spectrum much wider than the band of the filter the share tends to a bound, and what was taken
-    to everything.
-    ``widest`` (as ``share``) is the largest width, over which the spectrum falls by e, in half bandwidths.
+    ``share`` (any shape) is the share that the second pass takes of what the first has left. The spectrum of the
+    envelope of a mode falls exponentially from the order, as the transform of 1 / (1 + i t / τ) does, so that one share
+    belongs to one width of it. For a spectrum much wider than the band of the filter the share tends to a bound, and
+    the loss to everything. ``widest`` (shape of ``share``) is the largest width, over which the spectrum falls by e, in
+    half bandwidths.
     """
     widths, shares, times = _taken_table()
     most = np.interp(widest, widths, shares)
