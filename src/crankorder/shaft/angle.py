@@ -225,7 +225,7 @@ def knots_of(shaft: xr.Dataset) -> dict[str, Floats]:
 
 
 def angle_at(time_s: npt.ArrayLike, knot_time_s: Floats, knot_angle_rev: Floats, knot_speed_rpm: Floats) -> Floats:
-    """Crank angle [rev] at given times, NaN outside the knots; fastest for times that grow.
+    """Crank angle [rev], of the shape of ``time_s``, NaN outside the knots; fastest for rising times.
 
     Parameters
     ----------
@@ -240,9 +240,10 @@ def angle_at(time_s: npt.ArrayLike, knot_time_s: Floats, knot_angle_rev: Floats,
 def time_at(
     crank_angle_rev: npt.ArrayLike, knot_time_s: Floats, knot_angle_rev: Floats, knot_speed_rpm: Floats
 ) -> Floats:
-    """Time [s] at which given crank angles are passed: the exact inverse of :func:`angle_at`, NaN outside the knots.
+    """Time [s], of the shape of ``crank_angle_rev``, of crank angles: the inverse of :func:`angle_at`.
 
-    An angle outside them by rounding is their end, as that of a frame that ends with the record.
+    It is NaN outside the knots; an angle outside them by rounding, as of a frame that ends with the record, counts as
+    their end.
 
     Parameters
     ----------
@@ -400,7 +401,8 @@ def smoothed_speed(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats | float)
     """Speed [rpm] at ``time_s`` (times,): slope of the parabola through the angle over ``stretch_s`` around each.
 
     ``shaft`` is a ShaftAngle by time. The stretch (times,) is cut at the ends of the record, where the slope of the
-    parabola is still that at ``time_s``. No single pulse says much of it, unlike of the slope between two knots.
+    parabola is still that at ``time_s``. A single pulse has little influence on it, unlike on the slope between two
+    knots.
     """
     known = shaft.variables["time"].values
     time_s = np.asarray(time_s, dtype=np.float64)
@@ -415,7 +417,11 @@ def smoothed_speed(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats | float)
 
 
 def speed_at_angle(shaft: xr.Dataset, angle_rev: Floats, stretch_rev: Floats | float) -> Floats:
-    """Speed [rpm] at ``angle_rev`` (angles,) of ``shaft``, over the time that ``stretch_rev`` around each takes."""
+    """Speed [rpm] (angles,) at ``angle_rev`` (angles,) of the ShaftAngle ``shaft``, over ``stretch_rev`` around each.
+
+    ``stretch_rev``, one or (angles,), is in revolutions; the speed is that of :func:`smoothed_speed` over the time that
+    it takes.
+    """
     knots = knots_of(shaft)
     first, last = knots["knot_angle_rev"][[0, -1]]
     half = 0.5 * np.asarray(stretch_rev, dtype=np.float64)

@@ -62,8 +62,9 @@ class Modulation:
 class Reference:
     """A shaft angle seen as a sampler of motion.
 
-    ``cut_off_order`` is that of its smoother, ``edge_step_s`` the step to which pulse times are rounded (0: none),
-    ``error_rev`` the standard deviation of the angle.
+    ``teeth_per_rev`` and ``revs_per_cycle`` are per crank revolution and per engine cycle, ``cut_off_order`` is that of
+    its smoother, ``edge_step_s`` the step [s] to which pulse times are rounded (0: none), ``error_rev`` the standard
+    deviation [rev] of the angle.
     """
 
     teeth_per_rev: float
@@ -74,7 +75,7 @@ class Reference:
 
     @property
     def pulse_error_rev(self) -> float:
-        """Standard deviation of one pulse: smoothing has divided it by the root of the pulses that it joins."""
+        """Standard deviation [rev] of one pulse: smoothing has divided it by the root of the pulses that it joins."""
         return self.error_rev * math.sqrt(max(1.0, self.teeth_per_rev / (2.1 * self.cut_off_order)))
 
     def smoothing(self, cycles_per_tooth: Floats) -> Floats:
@@ -85,11 +86,11 @@ class Reference:
         return np.asarray(1.0 / (1.0 + (np.sin(np.pi * cycles_per_tooth) / math.sin(math.pi * cut_off)) ** 6))
 
     def lowest_unseen(self, above: float) -> float:
-        """Lowest order of the engine cycle that is beyond the order ``above``."""
+        """Lowest multiple of the order of the engine cycle beyond the order ``above``."""
         return (math.floor(above * self.revs_per_cycle + 1e-9) + 1) / self.revs_per_cycle
 
     def error_of_motion(self, order: float, amplitude_rev: float) -> tuple[Floats, Floats]:
-        """Orders and amplitudes [rev] of the error of the angle where it swings by ``amplitude_rev`` at ``order``.
+        """Orders (tones,) and amplitudes [rev] (tones,) of the error where it swings ``amplitude_rev`` at ``order``.
 
         Teeth sample the motion, so it shows at order - n teeth_per_rev for every whole n, with the gain that the cubic
         spline through the knots has there (Unser 1999); what the motion lacks and what the others add is error.
@@ -167,10 +168,10 @@ def seen_motion(shaft: xr.Dataset, reference: Reference) -> dict[float, float]:
 
 
 def expected_motion(reference: Reference, seen: Mapping[float, float], *, percent: float) -> dict[float, float]:
-    """Amplitude [rev] of in-cycle motion by order: what is ``seen``, and what ``reference`` does not show.
+    """Amplitude [rev] of in-cycle motion by order: that ``seen`` [rev], and that which ``reference`` does not show.
 
-    The strongest motion seen (by speed) goes on with 1 / order^2 to the lowest order that is not seen; without any,
-    ``percent`` of the speed at order 1 does.
+    The strongest motion seen (by speed) is continued with 1 / order^2 to the lowest order that is not seen; without
+    any, motion of ``percent`` of the speed at order 1 is.
     """
     motion = dict(seen)
     strongest = max(seen, key=lambda order: order * seen[order], default=0.0)
@@ -198,10 +199,10 @@ SOUGHT_ORDERS = np.geomspace(1e-2, 1e5, 2048)
 
 @dataclass(frozen=True)
 class ReferenceAudit:
-    """What the reference of a crank angle does to its orders.
+    """Effect of the errors of a crank angle on its orders.
 
-    Up to ``highest_carried_order`` neither loss nor sideband is above the limit; NaN where the angle has no error of
-    its own. ``causes``: noise and unseen motion, apart. ``remarks``: (flag, severity, detail) of each.
+    Up to ``highest_carried_order`` neither loss nor sideband is above the limit; it is NaN where the angle has no error
+    of its own. ``causes`` are noise and unseen motion, one by one; ``remarks`` are (flag, severity, detail) of each.
     """
 
     highest_carried_order: float
@@ -212,7 +213,7 @@ class ReferenceAudit:
 def reference_audit(
     shaft: xr.Dataset, *, orders: Sequence[float] | Floats, revs_per_frame: float, settings: ShaftSettings
 ) -> ReferenceAudit:
-    """What the reference of a crank angle carries, with remarks where it must be expected to bias one of ``orders``.
+    """Audit of the reference of a crank angle, with remarks where it must be expected to bias one of ``orders``.
 
     Parameters
     ----------

@@ -452,9 +452,9 @@ def _motion(at: Ints, step: Floats, expected: Floats) -> tuple[float, float]:
 
 
 def wrap_seen(values: npt.NDArray[np.floating]) -> tuple[float, bool] | None:
-    """Units after which ``values`` (sample,) start anew, 0 for never, and whether all steps but the jumps are alike.
+    """Units after which ``values`` (samples,) start anew, 0 for never, and whether all steps but the jumps are alike.
 
-    None where they do not go one way, as a position does.
+    None where they do not go in one direction, as a position does.
     """
     try:
         at, value, step, expected = _followed(values)

@@ -184,7 +184,10 @@ NO_PULSES = "no_pulses"
 
 
 def silent_ends(recording: xr.Dataset, shaft: xr.Dataset) -> list[Remark]:
-    """Remarks on the ends of ``recording`` (a Recording by time) that its pulses leave out of ``shaft`` (its angle)."""
+    """Remarks on the ends of a recording that its pulses do not reach.
+
+    ``recording`` is a Recording (channel, time), ``shaft`` its ShaftAngle (time).
+    """
     if "pulse_time" not in recording or "rate_hz" not in recording.attrs:
         return []
     pulse_s, signal = (recording.variables[name].values for name in ("pulse_time", "signal"))
@@ -253,7 +256,7 @@ def _vibration_share(signal: Floats, edge: int, count: int) -> float:
 
 
 def followed_wheel(time_s: Floats, places: Floats, *, repeats: int) -> FollowedWheel:
-    """The teeth of an uneven wheel laid on a pulse train, whatever tooth comes first.
+    """Assignment of the teeth of an uneven wheel to a pulse train, whatever tooth comes first.
 
     Parameters
     ----------

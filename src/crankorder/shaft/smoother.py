@@ -35,9 +35,10 @@ SEARCH_FACTOR = 2.0**0.25
 
 
 def noise_from_differences(time_s: Floats, tooth: Ints) -> float:
-    """Standard deviation [s] of pulse times, from their fourth divided differences by the tooth, by the median.
+    """Standard deviation [s] of pulse times, by the median of their fourth divided differences over the tooth number.
 
-    ``time_s`` (pulses,) [s] of the teeth numbered ``tooth`` (pulses,), which grow. Of a long train a few blocks do.
+    ``time_s`` (pulses,) [s] are the times of the teeth numbered ``tooth`` (pulses,), rising. A few blocks of a long
+    train are enough.
     """
     if time_s.size < 8:
         return 0.0
@@ -55,7 +56,7 @@ def noise_from_differences(time_s: Floats, tooth: Ints) -> float:
 def penalty_of(cut_off: float, spacing: float = 1.0) -> float:
     """Penalty on squared third differences for a half-gain frequency of ``cut_off`` cycles per pulse.
 
-    ``spacing``: teeth per pulse, 1 where every tooth has one.
+    ``spacing`` is the number of teeth per pulse, 1 where every tooth has one.
     """
     return spacing**5 * (1e-9 if cut_off > HIGHEST_CUT_OFF else (2.0 * math.sin(math.pi * cut_off)) ** -6)
 

@@ -144,7 +144,7 @@ WHOLE = 1e-6
 
 
 def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
-    """Swing of the speed of ``shaft`` (ShaftAngle) at the multiples of its cycle's order; None where not known."""
+    """Swing of the speed of the ShaftAngle ``shaft`` (time) at multiples of its cycle's order; None where not known."""
     known = swing_of_cycles(shaft)
     if known is None:
         return None
@@ -276,11 +276,11 @@ _TRACES = {
 
 
 def speed_trace(time_s: Floats, speed_rpm: Floats) -> tuple[Floats, ...]:
-    """Time, mean, lowest and highest speed of KNOTS equal pieces of time, NaN where a piece holds nothing.
+    """Time [s], mean, lowest and highest speed [rpm], each (KNOTS,), of equal pieces of time; NaN where one is empty.
 
-    ``time_s`` ascending and ``speed_rpm``, both (n,). The mean is that over time (trapezes), so that knots that crowd
-    in a fast part of a turn count no more than others. Recordings of fewer knots are kept as they are,
-    with NaN behind them.
+    ``time_s`` (knots,) [s], rising, and ``speed_rpm`` (knots,) are the knots of the speed. The mean is that over time
+    (trapezoidal rule), so that dense knots in a fast part of a revolution count no more than others. Recordings of
+    fewer knots are kept as they are, with NaN behind them.
     """
     known = np.isfinite(time_s) & np.isfinite(speed_rpm)
     time, speed = np.asarray(time_s, dtype=float)[known], np.asarray(speed_rpm, dtype=float)[known]
@@ -357,7 +357,7 @@ _ENDS = 0.02
 
 
 def speed_in_name(name: str) -> float | None:
-    """Speed in rpm that the ``name`` of a file states, such as 800 in "800rpm" or "idle_n800"; None where none."""
+    """Speed [rpm] that the ``name`` of a file states, such as 800 in "800rpm" or "idle_n800"; None where none."""
     for sign in () if _SPEED_RANGE.search(name) else _SPEED_IN_NAME:
         match = sign.search(name)
         if match and float(match[1].replace(",", ".")) > 0:

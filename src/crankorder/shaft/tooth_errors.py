@@ -95,9 +95,9 @@ def tooth_errors(
 
 
 def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedTeeth:
-    """``teeth`` at the times at which they would have come without their ``errors``, if these grow.
+    """``teeth`` at the times at which they would have come without their ``errors``, as long as these times rise.
 
-    What a tooth number means stays: angle 0 is where line 0 should be, by the mean of all lines.
+    Tooth numbers keep their meaning: angle 0 is the ideal place of line 0, by the mean of all lines.
     """
     time_s, tooth, lines = teeth.time_s, teeth.tooth, errors.line_error_rev.size
     # over a part of a revolution that averages the noise of pulses, and in which the speed hardly changes
@@ -112,7 +112,7 @@ def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedT
 
 
 def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
-    """What the ``errors`` of a wheel of so many ``lines`` say; ``ratio``: encoder revolutions per crank revolution."""
+    """Remark on the ``errors`` of a wheel with so many ``lines``; ``ratio``: encoder per crank revolutions."""
     doubt = 2.0 * math.pi * errors.least_motion_rev
     moved = ", ".join(f"{harmonic * ratio:g}" for harmonic in errors.motion)
     stays = f"; order {moved} stands out of them: motion of the shaft" if moved else ""
@@ -130,9 +130,10 @@ def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
 
 
 def stated_teeth(errors: ToothErrors | None, *, ratio: float, tdc_rev: float) -> dict[str, Attribute]:
-    """Attributes of a ShaftAngle that say what of its motion may be the ``errors`` of the teeth.
+    """Attributes of a ShaftAngle that say how much of its motion may come from the ``errors`` of the teeth.
 
-    ``ratio``: encoder revolutions per crank revolution. ``tdc_rev``: crank angle [rev] of top dead centre from tooth 0.
+    ``ratio`` is encoder revolutions per crank revolution, ``tdc_rev`` the crank angle [rev] of top dead centre from
+    tooth 0.
     """
     if errors is None:
         return {TOOTH_LEVEL: 0.0, TOOTH_ORDER: 0.0, TOOTH_DOUBT: 0.0}

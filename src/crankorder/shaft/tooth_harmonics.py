@@ -72,7 +72,7 @@ def tooth_odds(
     weight: Floats,
     settings: ShaftSettings,
 ) -> SpeedEvidence:
-    """Evidence of every speed of a grid on common time knots.
+    """SpeedEvidence (knots, speeds) for every speed of a grid on common time knots.
 
     Parameters
     ----------
@@ -266,8 +266,8 @@ def family_evidence(
     ----------
     signals : (channels, samples)
     rate_hz : samples per second
-    knots : the angle that is sure but for its ratio
-    ratio : (ratios,)
+    knots : angle that is known except for its ratio
+    ratio : (ratios,), fundamentals over the speed of ``knots``, above 0
     order : (orders,), orders of each fundamental
     weight : (orders,), 0…1, probability that the order shows
     """

@@ -31,13 +31,20 @@ from crankorder.shaft.uneven_wheel import (
 def at_index(
     time_s: Floats, tooth: Ints, index_time_s: Floats, wheel: Wheel, ratio: float, flags: list[Remark]
 ) -> tuple[Ints, float, float]:
-    """Teeth renumbered by the index marks, the tooth number of a mark, and the teeth between marks.
+    """Teeth (pulses,) renumbered by the index marks, the tooth number of a mark, and the teeth between marks.
 
-    A count that slips for good is put right where the teeth look all alike.
+    A count that slips for good is corrected where all teeth look alike.
 
-    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers on ``wheel``, which turns ``ratio`` times per crank
-    revolution. ``index_time_s``: (marks,), s, of a mark on either shaft. ``flags``: takes the remarks. Raises
-    InputError where another count of teeth per mark is measured.
+    Parameters
+    ----------
+    time_s : (pulses,), s
+    tooth : (pulses,), their numbers on ``wheel``
+    index_time_s : (marks,), s, times of a mark on either shaft
+    wheel : wheel of the encoder
+    ratio : encoder revolutions per crank revolution
+    flags : list to which remarks are appended
+
+    Raises InputError where another count of teeth per mark is measured.
     """
     wanted, renumber = (wheel.grid, wheel.grid * ratio), wheel.even
     marks = index_time_s[(index_time_s >= time_s[0]) & (index_time_s <= time_s[-1])]
@@ -167,7 +174,7 @@ def number_teeth(
     Parameters
     ----------
     time_s : (pulses,), s, not decreasing
-    wheel : that of the encoder, as :func:`wheel_of` gives it
+    wheel : wheel of the encoder, as :func:`wheel_of` gives it
     settings : ``double_pulse_ratio`` and ``lost_pulse_ratio`` bound a plausible interval of an even wheel;
         ``max_repaired_fraction`` is where repair ends and refusal begins
     index_time_s : (marks,), s, times of the once-per-revolution mark, or None
