@@ -78,10 +78,11 @@ def is_timeseries(signals: Any) -> TypeGuard[Sequence[Mapping[str, Any]]]:
 def told_by_timeseries(
     signals: Signals, rate_hz: float | None, unit: str | Mapping[str, str], *, settings: IngestSettings
 ) -> tuple[float | None, str | Mapping[str, str]]:
-    """Sampling rate and units of ``signals`` that are time series of SDyPy; of others what the caller said.
+    """Sampling rate [Hz] and units of ``signals`` that are time series of SDyPy; for others those of the caller.
 
-    A ``unit`` that the caller said goes before ``unit_str``; ``settings`` say how even times must be. Raises
-    RequestError where the rates of two of them, or of one and ``rate_hz``, differ; InputError where times are uneven.
+    A ``unit`` of the caller replaces ``unit_str``; ``settings`` say how even times must be. Raises RequestError where
+    no rate is stated, or where the rates of two series, or of one and ``rate_hz``, differ; InputError where times are
+    uneven.
     """
     if not is_timeseries(signals):
         return rate_hz, unit

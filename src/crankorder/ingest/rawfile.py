@@ -214,9 +214,10 @@ def float_type_for(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
 def rows_for(
     kinds: Sequence[tuple[int, type[np.float32] | type[np.float64]]], *, in_memory_bytes: int
 ) -> list[FloatArray]:
-    """A row to be filled for each of ``kinds`` (samples, type); those of one kind are neighbours in one block.
+    """Row (samples,) to be filled for each of ``kinds``, pairs of a number of samples and a type.
 
-    They lie on disk where all of them together are more than ``in_memory_bytes``.
+    Rows of one kind are neighbours in one block. All lie on disk where together they exceed ``in_memory_bytes``. Raises
+    EnvironmentFailure where the disk has no room for them.
     """
     on_disk = sum(n_samples * np.dtype(dtype).itemsize for n_samples, dtype in kinds) > in_memory_bytes
     room = {kind: iter(empty((kinds.count(kind), kind[0]), kind[1], on_disk=on_disk)) for kind in dict.fromkeys(kinds)}
@@ -224,7 +225,7 @@ def rows_for(
 
 
 def looks_counted(values: FloatArray) -> bool:
-    """Whether ``values`` (sample,) are whole numbers of many sizes, as a converter counts; looks at some of them."""
+    """Whether ``values`` (samples,) are whole numbers of many sizes, as a converter counts; looks at some of them."""
     some = values[:: max(1, values.size // _LOOKED_AT)][:_LOOKED_AT]
     some = some[np.isfinite(some)]
     return bool((some == np.rint(some)).all()) and np.unique(some).size >= _SIZES
@@ -244,7 +245,7 @@ def check_budget(n_bytes: int, settings: IngestSettings) -> None:
 
 
 def stacked(rows: Sequence[FloatArray]) -> FloatArray:
-    """``rows`` as one array (channel, time), without a copy where the reader laid them down side by side."""
+    """``rows``, each (samples,), as one array (channels, samples); no copy where they are neighbours in one block."""
     base = rows[0].base
     if isinstance(base, np.ndarray) and base.ndim == 2 and base.flags.writeable and base.flags.c_contiguous:
         step = base.strides[0]

@@ -74,7 +74,7 @@ class TimeColumn:
 
 
 def seconds_of(raw: RawFile, source: Source) -> FloatArray:
-    """Column ``source`` of ``raw`` in seconds: in the unit that the file or its name states, else as it is."""
+    """Column ``source`` (samples,) of ``raw`` in s, by the unit that the file or the name states, else as it is."""
     unit = known_unit(raw.units.get(source) or unit_in_label(str(source)))
     factor = unit.factor if unit is not None and unit.quantity == "time" else 1.0
     column = raw.columns[source]
@@ -84,11 +84,11 @@ def seconds_of(raw: RawFile, source: Source) -> FloatArray:
 def read_time_column(
     times: FloatArray, path: Path, *, settings: IngestSettings, rounding: Floats | None = None
 ) -> TimeColumn:
-    """Rate and start of a column of ``times`` in seconds, shape (sample,), which must be uniform but for gaps.
+    """Rate and start of a column of ``times`` (samples,) in s, which must be uniform except for gaps.
 
-    ``rounding`` (sample,) in seconds, where known, is how far the digits of each time leave it open: what is even
-    within it is uniform, though times may repeat. ``path`` names the recording in errors; ``settings`` say how far a
-    time may lie off the uniform grid, and how much may be missing. Raises InputError naming the sample where times
+    ``rounding`` (samples,) in s, where known, is the uncertainty that the digits of each time leave: times that are
+    even within it are uniform, even where they repeat. ``path`` names the recording in errors; ``settings`` say how far
+    a time may lie off the uniform grid, and how much may be missing. Raises InputError naming the sample where times
     repeat, go back or wander, or too many are missing.
     """
     n_rows = rows_before_zeros(times)
@@ -159,7 +159,7 @@ def _steps(times: FloatArray) -> Iterator[tuple[int, Floats]]:
 
 
 def rows_before_zeros(times: FloatArray) -> int:
-    """Rows of ``times`` (row,) before those zeros at the end that some loggers write when they stop."""
+    """Number of ``times`` (rows,) before the zeros at the end that some loggers write when they stop."""
     if times.size < 3 or times[-1] != 0.0 or not times[times.size // 2] > 0.0:
         return times.size
     return int(np.flatnonzero(times)[-1]) + 1
@@ -266,8 +266,8 @@ def _gaps(
 def agreed_rate(rates: Mapping[str, tuple[float | None, float]], path: Path, *, settings: IngestSettings) -> float:
     """Samples per second on which all ``rates`` (by who states it: Hz or None, relative uncertainty) agree.
 
-    ``path`` names the recording in errors; ``settings`` give the tolerance, to which the uncertainties add.
-    Raises InputError where two of them disagree, so that never one silently wins, and where there is none.
+    ``path`` names the recording in errors; ``settings`` give the tolerance, to which the uncertainties are added.
+    Raises InputError where two of them disagree, and where none is stated.
     """
     stated = [(name, rate_hz, doubt) for name, (rate_hz, doubt) in rates.items() if rate_hz is not None]
     if not stated:
@@ -291,7 +291,7 @@ _MOST_CUT = 0.05
 
 
 class TimeBase(NamedTuple):
-    """Samples per second of a column, the time of its first sample on the clock of the file, and their number."""
+    """Samples per second of a column, the time [s] of its first sample on the clock of the file, their number."""
 
     rate_hz: float
     start_s: float
@@ -299,7 +299,7 @@ class TimeBase(NamedTuple):
 
     @property
     def end_s(self) -> float:
-        """Time of the last sample."""
+        """Time [s] of the last sample."""
         return self.start_s + (self.n_samples - 1) / self.rate_hz
 
     def place(self, time_s: float, settings: IngestSettings) -> float:
@@ -334,7 +334,7 @@ def bases_of(
 
 
 def length_faults(bases: Mapping[str, TimeBase], path: Path) -> list[InputError]:
-    """Faults of columns of the file at ``path`` whose ``bases``, by role, are one but for their lengths."""
+    """Faults of columns of the file at ``path`` whose ``bases``, by role, differ only in length."""
     first: dict[tuple[float, float], str] = {}
     faults: list[InputError] = []
     for role, base in bases.items():
@@ -348,13 +348,13 @@ def length_faults(bases: Mapping[str, TimeBase], path: Path) -> list[InputError]
 def on_one_base(
     columns: dict[str, FloatArray], bases: Mapping[str, TimeBase], path: Path, *, settings: IngestSettings
 ) -> tuple[TimeBase, list[QualityFlag]]:
-    """Bring the channels ``columns`` (role to samples) to one base, in place; that base, and flags.
+    """Bring the channels ``columns``, (samples,) by role, to one time base, in place; returns that base, and flags.
 
-    ``bases`` by role are theirs and that of the encoder, which keeps its own. The base has the lowest rate of the
-    channels and spans the time in which they and the encoder were recorded, which holds for one of its steps beyond its
-    ends. What differs by whole samples is cut, other channels are resampled within their band; on one base all stay as
-    they are. ``path`` is the file of flags and errors; ``settings`` say when a place is whole. Raises InputError where
-    columns on one base differ in length, or less than three samples are common to all.
+    The base has the lowest rate of the channels and spans the time in which they and the encoder were recorded (with
+    one step beyond the ends of the encoder). Channels that differ by whole samples are cut, others are resampled within
+    their band; channels on one base stay as they are. ``bases`` by role are those of the channels and of the encoder,
+    which keeps its own. ``path`` is named in flags and errors; ``settings`` say when a place is whole. Raises
+    InputError where columns on one base differ in length, or fewer than three samples are common to all.
     """
     for fault in length_faults(bases, path):
         raise fault

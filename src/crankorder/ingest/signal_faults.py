@@ -46,7 +46,7 @@ Mask = Callable[[FloatArray], Bools]
 
 
 def spans_of(*spans: tuple[int, int]) -> Ints:
-    """The ``spans`` as an array (span, 2): the first sample of each and the one after its last."""
+    """The ``spans`` as an array (spans, 2): the first sample of each and the one after its last."""
     return np.array(spans, dtype=np.int64).reshape(-1, 2)
 
 
@@ -386,7 +386,7 @@ def _look(signal, size, told):  # type: ignore[no-untyped-def]
 
 
 def root_mean_square(survey: Survey) -> float:
-    """Root mean square of the signal of ``survey``, NaN where too much is missing."""
+    """Root mean square of the signal of ``survey``, in its unit; NaN where too much is missing."""
     square = float(survey.means.var()) + float(survey.variances.mean())
     if math.isfinite(square):
         return math.sqrt(square)
@@ -397,7 +397,10 @@ def root_mean_square(survey: Survey) -> float:
 
 
 def find_slow_faults(survey: Survey, *, settings: IngestSettings) -> list[SignalFault]:
-    """Overloads, a settling start and drift of the signal of ``survey`` by ``settings``, each with its samples."""
+    """Faults of the signal of ``survey``: overloads, a settling start and drift, each with its samples.
+
+    ``settings`` say what counts as one.
+    """
     group = max(len(survey.means) // _GROUPS, 1)
     means, step = grouped(survey.means, group), group * survey.size
     if len(means) < _FEWEST or not np.isfinite(means).all():
