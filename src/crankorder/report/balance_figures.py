@@ -132,9 +132,10 @@ def _in_words(balance: xr.Dataset, per_omega: float) -> str:
 def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
     """Primary force, secondary force and their sum against crank angle at the highest speed, without any balancing.
 
-    Faint behind them all orders together. Positive away from the crankshaft: the piston pulls on its rod.
-    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
-    ``settings`` of the report. Source: Ruckle 2014, figure 7 (after Foale 2007).
+    All orders together lie faintly behind them. Forces are positive away from the crankshaft: the piston pulls on its
+    rod. ``balance`` is the dataset (system, axis, order, crank_angle) of
+    :func:`crankorder.report.balance_dataset.balance_dataset`, ``title`` that of the engine, ``settings`` are those of
+    the report. Source: Ruckle 2014, figure 7 (after Foale 2007).
     """
     speed, per_omega = _at_highest_speed(balance)
     plain, angle = balance.sel(system="none"), balance["crank_angle"].values
@@ -368,8 +369,8 @@ def hinge_figure(
 ) -> Drawing:
     """Crank torque, side force without and with hinge, M12, and the moments of both hinges, for one mechanism.
 
-    ``engine``: whose torque drives it. ``mechanism``: one of the engine's. ``speeds_rpm``: crank speeds, > 0, a line
-    each. ``settings``: of the report.
+    ``engine`` is the engine whose torque drives it, ``mechanism`` one of its mechanisms; each of ``speeds_rpm``, crank
+    speeds [rpm] above 0, has a line. ``settings`` are those of the report.
     """
     crank, curve = mechanism.crank, engine.curve
 
@@ -431,8 +432,8 @@ def guide_figure(
 ) -> Drawing:
     """Guides of the hinges of a mechanism that has them, to scale, with spring and rollers (document 003, figure 7).
 
-    ``engine``: whose torque drives it. ``mechanism``: one of the engine's, with guides. ``speed_rpm``: crank speed that
-    they are for, > 0. ``settings``: of the report.
+    ``engine`` is the engine whose torque drives it, ``mechanism`` one of its mechanisms, with guides; ``speed_rpm`` is
+    the crank speed [rpm], above 0, for which they are designed. ``settings`` are those of the report.
     """
     side = (settings.width_in - 0.6) / 2 - 0.5
     drawing = Drawing(settings.width_in, side + 1.75)

@@ -40,7 +40,7 @@ class Curve(NamedTuple):
 def boxes_of(
     drawing: Drawing, rows: int, columns: int, *, top: float = _TOP, right: float = RIGHT, gap: float = _GAP_Y
 ) -> list[list[Box]]:
-    """Boxes of panels in ``rows`` from the top and ``columns``, ``gap`` inches between rows.
+    """Boxes [inches] of panels in ``rows`` from the top and ``columns``, with ``gap`` inches between rows.
 
     They leave ``top`` and ``right`` inches of the ``drawing`` free.
     """
@@ -61,7 +61,7 @@ def color_key(drawing: Drawing, box: Box, entries: Sequence[tuple[str, str]]) ->
 
 
 class Chart(NamedTuple):
-    """Curves in one ``unit`` against an angle, which ``label`` names."""
+    """``curves`` in one ``unit`` against an angle, which ``label`` names."""
 
     title: str
     unit: str
@@ -102,9 +102,10 @@ def draw_chart(drawing: Drawing, box: Box, chart: Chart, angle_deg: Floats, *, l
 def draw_bars(
     panel: Panel, orders: Mapping[float, str], heights: Sequence[Floats], colors: Sequence[str], least: float
 ) -> None:
-    """Bars in ``colors`` around the places of ``orders``, whose texts name them; ``heights`` (bar, place) > ``least``.
+    """Draw bars in ``colors`` on ``panel`` around the places of ``orders``, whose texts name them.
 
-    ``panel`` to draw on. Sizes stand above the bars of a place, above the tallest alone where they are wider than bars.
+    ``heights`` are (places,) for each colour, in the unit of the panel; places without a bar above ``least`` are left
+    out. Sizes stand above the bars of a place, or above the tallest one only where they are wider than bars.
     """
     drawing, (left, bottom, width, _) = panel.drawing, panel.box
     pitch, unit_in = min(0.84 / len(heights), 0.42), width / (panel.x[1] - panel.x[0])
@@ -143,7 +144,8 @@ def polar_grid(
 ) -> tuple[Drawing, list[list[Box]]]:
     """Drawing with polar diagrams in ``rows``, and their boxes.
 
-    ``settings`` of the report; a diagram is ``widest`` inches wide at most; ``above`` of the drawing stay free.
+    ``settings`` are those of the report. A diagram is ``widest`` inches wide at most; ``above`` inches of the drawing
+    stay free at its top.
     """
     step = (settings.width_in - LEFT - 0.05) / max(map(len, rows))
     side, head = min(step - 0.2, widest), 0.84
@@ -191,9 +193,9 @@ def arrow_head(drawing: Drawing, tail: Floats, tip: Floats, color: str) -> None:
 
 
 def headed(drawing: Drawing, name: str, what: str, sentence: str, settings: ReportSettings) -> Drawing:
-    """The ``drawing`` with its title, the ``name`` of the engine and ``what`` is shown of it, and a ``sentence`` below.
+    """The ``drawing`` with a title, the ``name`` of the engine and ``what`` is shown, and a ``sentence`` below it.
 
-    ``settings`` of the report.
+    ``settings`` are those of the report.
     """
     title_lines(drawing, LEFT, f"{drawable(name, settings.max_name_characters)} · {what}", sentence)
     return drawing

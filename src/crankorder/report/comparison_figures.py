@@ -117,11 +117,10 @@ def _draw_line(panel: Panel, changes: xr.Dataset, row: int, at: Ints, color: str
 
 
 def trend_figure(comparison: Comparison, *, settings: ReportSettings) -> Drawing:
-    """Amplitude of each line over its own in the first run [dB] against the run, and what was fitted.
+    """Amplitude of each line over its own in the first run [dB] against the run, and the fitted growth.
 
     Lines whose growth is claimed have a colour, 95 % intervals and their fitted growth; the others are light.
-
-    ``comparison`` of two runs or more; ``settings`` of the report.
+    ``comparison`` is that of two runs or more, ``settings`` are those of the report.
     """
     drawing = Drawing(settings.width_in, settings.height_in)
     box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _TREND_RIGHT, settings.height_in - _BOTTOM - _TREND_TOP)

@@ -71,7 +71,7 @@ HINT = "Point at a cell, or use the arrow keys: what is there, and what the find
 
 @dataclass(frozen=True)
 class ShownPicture:
-    """A picture of a page: its ``file`` beside the page, its ``caption``, and as ``png`` what the page itself holds."""
+    """A picture of a page: its ``file`` beside the page, its ``caption``, and the ``png`` inside the page itself."""
 
     file: str
     caption: str
@@ -141,8 +141,8 @@ def _base64(data: bytes) -> str:
 def index_page(tests: Sequence[Mapping[str, Any]]) -> str:
     """HTML list of all tests of a run, each with its status, headline and link, and the recordings that failed.
 
-    ``tests``: of each ``name``, ``status``, ``headline`` (sentences), ``link`` to its report relative to the index, and
-    ``failed`` (``recording`` and ``error`` of each); what is missing is left out.
+    Each of ``tests`` has ``name``, ``status``, ``headline`` (sentences), ``link`` to its report relative to the index,
+    and ``failed`` (``recording`` and ``error`` of each); missing keys are left out.
     """
     text = partial(named, limit=_ERROR_CHARACTERS)
     rows = []
@@ -165,7 +165,7 @@ def _beside(path: str) -> str:
 
 
 def rendered_page(template: str, *, has_script: bool = False, **values: object) -> str:
-    """Page by a ``template`` of this room with its ``values``: every text is escaped, and no network is reached.
+    """Page made from a ``template`` of this room and its ``values``: all text is escaped, no network is used.
 
     The content security policy allows its pictures, its one style and, where it ``has_script``, its script by hash.
     Style and script are our own files, never text from data.
