@@ -112,7 +112,7 @@ def positive(value: object, key: str, picture: str) -> float:
 
 
 def values_of(dataset: xr.Dataset, name: str, *dims: str, channel: int) -> Floats:
-    """Values of variable ``name`` of ``dataset`` of one ``channel`` (its number), in the order of ``dims``."""
+    """Values of the variable ``name`` (channel, …) of ``dataset`` for channel number ``channel``, along ``dims``."""
     return np.asarray(dataset[name].isel(channel=channel).transpose(*dims).values, dtype=np.float64)
 
 
@@ -145,8 +145,8 @@ def axes_for(ax: Axes | None, picture: str, *, height_in: float = 5.0, width_in:
 def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_above: int = 0, note: str = "") -> None:
     """Axis labels ``x`` and ``y``, bold ``title``, ``note`` at its right, and frame of ``axes``.
 
-    ``whole``: a frame on all sides, no grid, and room for a bar, as around maps. ``rows_above``: of labels between axes
-    and title.
+    ``whole`` asks for a frame on all sides, no grid, and room for a bar, as around maps; ``rows_above`` is the number
+    of rows of labels between axes and title.
     """
     axes.set_facecolor(WHITE)
     axes.set_axisbelow(True)

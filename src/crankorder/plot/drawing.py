@@ -189,7 +189,7 @@ def pixels_of(box: Box, dpi: float) -> tuple[int, int]:
 class Panel:
     """Axes over ``box`` of ``drawing`` from ``x`` (low, high) and ``y`` (low, high), the latter logarithmic or not.
 
-    ``inches``: transform from values to inches of axes of matplotlib that stand there, on any scale.
+    ``inches`` is the transform from values to inches where axes of matplotlib stand there, on any scale; else None.
     """
 
     drawing: Drawing
@@ -200,7 +200,7 @@ class Panel:
     inches: Any = None
 
     def at(self, x: Floats | float, y: Floats | float) -> Floats:
-        """Places (n, 2) in inches of values ``x``, ``y`` (n,); values ≤ 0 of a logarithmic axis are NaN."""
+        """Places (points, 2) in inches of values ``x``, ``y`` (points,); values ≤ 0 of a logarithmic axis give NaN."""
         values = np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2).astype(float)
         if self.inches is not None:
             return np.asarray(self.inches.transform(values))
@@ -288,9 +288,10 @@ class Panel:
         named: bool = True,
         grid: bool = True,
     ) -> None:
-        """Ticks below at ``places`` (n,), or at most ``most`` round ones, ``whole`` numbers or not, and a ``label``.
+        """Draw ticks below at ``places`` (ticks,), or at most ``most`` round ones, ``whole`` numbers or not.
 
-        The ticks are ``named`` or bare; with a ``grid`` or without.
+        ``places`` are in the unit of the axis, which ``label`` names; ticks are ``named`` or bare, with a ``grid`` or
+        without.
         """
         left, bottom, width, height = self.box
         places = linear_ticks(*self.x, most=most, whole=whole) if places is None else places
@@ -352,7 +353,7 @@ def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> 
 
 
 def linear_texts(places: Floats) -> list[str]:
-    """Texts of evenly spaced ``places`` (n,): decimals that tell them apart, powers of ten far off 1."""
+    """Texts of evenly spaced ``places`` (ticks,): decimals that tell them apart, powers of ten far off 1."""
     if not len(places):
         return []
     step = float(places[1] - places[0]) if len(places) > 1 else abs(float(places[0])) or 1.0

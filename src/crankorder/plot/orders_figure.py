@@ -183,7 +183,7 @@ def _draw_channel(drawing: Drawing, shown: ShownTracks, channel: int, box: Box) 
 
 
 def draw_tracks(panel: Panel, shown: ShownTracks, channel: int) -> None:
-    """Draw in ``panel`` the amplitudes of a ``channel`` (its number) of ``shown`` tracks, with bands and names."""
+    """Draw in ``panel`` the amplitudes of ``shown`` tracks in the channel with index ``channel``, bands and names."""
     for number in np.argsort(-shown.rank):  # the strongest lies on top
         _draw_line(panel, shown, channel, int(number))
     _label_lines(panel, shown, channel)
@@ -349,9 +349,9 @@ _PIECES = 800  # of time, where a recording has more than twice as many speeds
 
 
 def changing_recordings(shaft: xr.Dataset) -> list[int]:
-    """Numbers of the recordings of ``shaft`` (the group of the results) whose speed changes by a tenth and more.
+    """Indices of the recordings of the ShaftSummary ``shaft`` (recording, knot) whose speed changes by a tenth or more.
 
-    Motion within an engine cycle does not count. None where the group holds no ``speed_trace``.
+    Motion within an engine cycle does not count. The list is empty where ``shaft`` has no ``speed_trace``.
     """
     if "speed_trace" not in shaft:
         return []
@@ -382,9 +382,9 @@ def _spread(trace: Floats) -> float:
 def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Speed [rpm] against time [s] of the :func:`shown_recordings`, with its swing as a band.
 
-    ``shaft`` the group of that name of the results, with ``trace_time``, ``speed_trace`` and where known
-    ``speed_trace_low``, ``speed_trace_high`` (recording, knot); ``findings`` of the same test; ``settings`` of the
-    report.
+    ``shaft`` is the group of that name of the results, with ``trace_time`` [s], ``speed_trace`` and where known
+    ``speed_trace_low``, ``speed_trace_high`` [rpm] (recording, knot); ``findings`` are those of the same test,
+    ``settings`` those of the report.
     """
     numbers = shown_recordings(shaft)
     time, speed = (shaft[name].transpose("recording", "knot").values for name in ("trace_time", "speed_trace"))
@@ -420,9 +420,9 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
 def draw_speed(
     panel: Panel, time: Floats, speed: Floats, swing: tuple[Floats, Floats], color: str, *, name: str = "speed"
 ) -> None:
-    """Draw ``speed`` over ``time`` in ``panel`` as a line in ``color`` called ``name``, its ``swing`` as a band.
+    """Draw ``speed`` [rpm] over ``time`` [s] in ``panel`` as a line in ``color`` called ``name``, its swing as a band.
 
-    ``time``, ``speed`` and both ends of ``swing``: (n,).
+    ``time``, ``speed`` and both ends of ``swing`` [rpm] are (points,).
     """
     panel.band(time, *swing, color=color, alpha=0.25)
     panel.curve(time, speed, color=color, name=name)

@@ -66,7 +66,7 @@ def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
 
 
 class Painter:
-    """Draws parts that are placed in inches with ``renderer``, of pixels or of vectors, of ``dpi`` points per inch."""
+    """Draws parts that are placed in inches with ``renderer``, for pixels or vectors, at ``dpi`` dots per inch."""
 
     def __init__(self, renderer: Any, dpi: float) -> None:
         self._to, self._dpi = renderer, dpi
@@ -171,7 +171,7 @@ class Painted(Artist):
 
 
 class PaintedPanel(Painted):
-    """What ``content`` draws on the panel that ``axes`` are, laid out anew with every drawing, for one may zoom."""
+    """The drawing of ``content`` on ``axes`` as a panel, laid out anew each time it is drawn, as a user may zoom."""
 
     def __init__(self, axes: Axes, content: Callable[[Panel], object]) -> None:
         super().__init__()
@@ -200,9 +200,9 @@ class PaintedPanel(Painted):
 
 
 def picture_bytes(drawing: Drawing, *, dpi: int, kind: PictureFormat = "png") -> bytes:
-    """Bytes of a picture, the same for the same ``drawing`` (no date, fixed software name).
+    """Bytes of a picture file, the same for the same ``drawing`` (no date, fixed software name).
 
-    ``dpi`` pixels per inch; ``kind`` of file.
+    It has ``dpi`` pixels per inch; ``kind`` is the format of the file.
     """
     with _LOCK, matplotlib.rc_context(_look()):  # type: ignore[arg-type]  # its keys are a Literal of every setting
         if kind == "png":
@@ -219,7 +219,7 @@ def picture_bytes(drawing: Drawing, *, dpi: int, kind: PictureFormat = "png") ->
 
 
 def png_bytes(shown: NDArray[np.uint8], dpi: int) -> bytes:
-    """PNG of ``shown`` colours (rows from the top, columns, 3 or more) at ``dpi`` pixels per inch.
+    """PNG file of the colours ``shown`` (rows from the top, columns, 3 or more), 0 to 255, at ``dpi`` pixels per inch.
 
     Rows are not filtered: pictures of lines, type and repeated colours are as small without, in a fifth of the time.
     """

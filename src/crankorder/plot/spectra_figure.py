@@ -160,8 +160,8 @@ def column_boxes(
 ) -> tuple[Drawing, list[list[Box]]]:
     """Drawing for columns of ``n`` panels, and the boxes of each column, the highest first.
 
-    ``width`` of a panel and left edges (``lefts``) of the columns in inches; ``settings`` give the size of the drawing,
-    which grows with ``n``.
+    ``width`` of a panel and ``lefts``, the left edges of the columns, are in inches; ``settings`` give the size of the
+    drawing, which grows with ``n``.
     """
     row = max((settings.height_in - _BOTTOM - _TOP - (n - 1) * _ROW_GAP) / n, _LEAST_ROW)
     drawing = Drawing(settings.width_in, _TOP + _BOTTOM + n * row + (n - 1) * _ROW_GAP)
@@ -205,7 +205,7 @@ def column_panels(
 
 
 def draw_spectrum(panel: Panel, place: Floats, values: Floats, *, color: str = INK, name: str = "spectrum") -> None:
-    """Draw ``values`` over ``place`` (bins,) in ``panel`` as a line in ``color`` called ``name``."""
+    """Draw ``values`` over ``place``, both (bins,), in the units of ``panel`` as a ``color`` line called ``name``."""
     if np.any(values > 0):
         panel.curve(place, np.where(values > 0, values, np.nan), color=color, width=0.8, name=name)
     else:
@@ -273,9 +273,10 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
 
 
 def ring_lines(panel: Panel, order: Floats, values: Floats, places: Sequence[float]) -> bool:
-    """Whether ``panel`` shows any line at ``places`` of a spectrum of ``values`` over ``order`` (n,); those are ringed.
+    """Ring the lines at ``places`` of a spectrum in ``panel``; returns whether there are any within it.
 
-    A ring is as high as the highest bin within two of its place.
+    The spectrum has ``values`` (bins,) over ``order`` (bins,); ``places`` are orders. A ring is as high as the highest
+    bin within two of its place.
     """
     reach = max(2 * float(np.median(np.diff(order))) if len(order) > 1 else 0.0, 1e-9)
     known = np.nan_to_num(values)
