@@ -32,11 +32,11 @@ def sample_rate_hz(recording: xr.Dataset) -> float:
 def frame_speeds(
     band: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float
 ) -> tuple[Floats, Floats]:
-    """Mean speed and change of speed from begin to end [rpm] (frames,) of frames of ``band``.
+    """Mean speed (frames,) and its change from begin to end (frames,), both in rpm, of frames of ``band``.
 
-    They are of ``length`` samples at ``rate_hz`` and begin at samples ``starts`` (frames,). The mean is the revolutions
-    that the ``shaft`` made over the time they took; the change is twice the difference of the means of both halves,
-    which uneven running within a cycle does not reach.
+    ``band`` is the BandRecording, ``shaft`` its ShaftAngle. Frames have ``length`` samples at ``rate_hz`` and begin at
+    the samples ``starts`` (frames,). The mean is revolutions over time; the change is twice the difference of the means
+    of both halves, which uneven running within a cycle does not affect.
     """
     if band.attrs["domain"] == "crank_angle":
         return np.full(len(starts), float(band.attrs.get("speed_rpm", math.nan))), np.zeros(len(starts))
@@ -86,7 +86,11 @@ def sweep_limit_s(band: xr.Dataset, shaft: xr.Dataset, length_s: float, *, enbw_
 
 @dataclass(frozen=True)
 class FramePlan:
-    """Window, transform length and hop of the frames of a recording; ``spacing`` bins lie a window's bin apart."""
+    """Window, transform length and hop, in samples, of the frames of a recording.
+
+    ``spacing`` bins of the transform make one bin of the unpadded window; it is 0 where the whole record is one frame.
+    ``tone_weights`` are those of :attr:`~crankorder.fft.windows.Window.tone_weights`.
+    """
 
     window: Window
     n_fft: int
@@ -99,8 +103,8 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     """FrequencyFrames of one recording: power (channel, frame, frequency) and the speed of each frame.
 
     ``band`` is the BandRecording, ``shaft`` its ShaftAngle. A recording by crank angle is taken as one at constant
-    speed; without a speed it has no frequencies and gives no frame. One of what does not turn has frames of unknown
-    speed (NaN). A recording shorter than
+    speed; without a speed it has no frequencies and gives no frame. One of a structure that does not turn has frames of
+    unknown speed (NaN). A recording shorter than
     1 / ``settings.resolution_hz`` is padded with zeros; where the speed sweeps, frames are a whole number of times
     shorter and padded to the length that the resolution asks for. Frames that touch an unusable sample are NaN in
     that channel. Float32 signals give float32 power.

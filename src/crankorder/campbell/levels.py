@@ -55,7 +55,7 @@ NUMBERS = MethodNumbers("4-campbell-map.toml", "levels")
 
 @dataclass(frozen=True)
 class LevelBand:
-    """A band of frequency in which a level is told, and of which quantity; ``as measured``: that of the channel.
+    """A band of frequency [Hz] in which a level is told, and its quantity; "as measured" is that of the channel.
 
     Half of the power passes at either end of a broad band. ``without its ends`` the filter opens inside the band, so
     that nothing outside counts; ``with its ends`` it opens outside, so that all inside counts whole (of a sweep, at the
@@ -103,13 +103,13 @@ class _Pieces:
 
 
 def nominal_hz(middle_hz: float) -> float:
-    """Frequency by which a one-third octave about ``middle_hz`` is called: 31.5 for 31.62 Hz."""
+    """Nominal frequency [Hz] of the one-third octave about ``middle_hz``, above 0: 31.5 for 31.62 Hz."""
     tens = math.floor(math.log10(middle_hz) + 1e-6)
     return _NOMINAL[round(10.0 * (math.log10(middle_hz) - tens)) % 10] * 10.0**tens
 
 
 def third_octaves() -> tuple[LevelBand, ...]:
-    """The one-third octaves from 10 Hz to 20 kHz, of what was measured."""
+    """The one-third octaves from 10 Hz to 20 kHz, of the measured quantity."""
     half = HALF_THIRD_OCTAVE
     return tuple(LevelBand("as measured", hz / half, hz * half, "one-third octave") for hz in THIRD_OCTAVES_HZ)
 
@@ -424,7 +424,7 @@ NO_LINE = (0.0, math.nan, math.nan, math.nan, math.nan)
 def recording_levels(
     recording: xr.Dataset, shaft: xr.Dataset, *, orders: OrderSettings, campbell: CampbellSettings
 ) -> xr.Dataset:
-    """RecordingLevels: root mean square of each channel, and what lies above the band of the orders and the map.
+    """RecordingLevels (channel): root mean square, and its part above the band of the orders and of the Campbell map.
 
     ``recording`` is the full-band Recording, ``shaft`` its ShaftAngle. The band ends at ``orders.max_order`` times
     the speed or ``campbell.max_frequency_hz``, whichever is higher; by crank angle without a speed at
