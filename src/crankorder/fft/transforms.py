@@ -136,7 +136,7 @@ def frame_starts(n_samples: int, n_frame: int, hop: int) -> Ints:
 
 
 def counted(mask: Bools, begin: ArrayLike, end: ArrayLike) -> Ints:
-    """How many samples (channels, spans) of ``mask`` (channels, samples) are set from ``begin`` to before ``end``.
+    """Number (channels, spans) of samples of ``mask`` (channels, samples) set from ``begin`` to before ``end``.
 
     ``begin`` and ``end`` (spans,) are cut at the ends of the record.
     """
@@ -162,10 +162,11 @@ _RING_PERIODS = 8.0
 
 
 def band_gain(frequency_hz: Floats, low_hz: float, high_hz: float, *, half_octaves: float) -> Floats:
-    """Amplitude gain (n,), at rising ``frequency_hz``, of a band from ``low_hz`` to ``high_hz`` (may be infinite).
+    """Amplitude gain (bins,), 0 to 1, at rising ``frequency_hz`` (bins,), of a band from ``low_hz`` to ``high_hz``.
 
-    Half of the power passes at either end; from ``half_octaves`` inside it all passes, from as far outside it nothing
-    (a quarter of a sine over the logarithm of frequency), so that bands that meet share the power between them.
+    ``high_hz`` may be infinite. Half of the power passes at either end; from ``half_octaves`` inside it all passes,
+    from as far outside it nothing (a quarter of a sine over the logarithm of frequency), so that bands that meet share
+    the power between them.
     """
     made = np.ones(len(frequency_hz))
     for end_hz, sign in ((low_hz, 1.0), (high_hz, -1.0)):
@@ -179,7 +180,7 @@ def band_gain(frequency_hz: Floats, low_hz: float, high_hz: float, *, half_octav
 
 
 def derivative_gain(frequency_hz: Floats, times: int) -> Complexes:
-    """Gain (n,) at ``frequency_hz`` (n,) of differentiating ``times`` times; negative integrates, 0 at 0 Hz."""
+    """Gain (bins,) at ``frequency_hz`` (bins,) of differentiating ``times`` times; negative integrates, 0 at 0 Hz."""
     turning = 2j * np.pi * frequency_hz
     gain = np.zeros(len(turning), dtype=np.complex128)
     np.power(turning, times, where=turning != 0.0, out=gain)
@@ -244,7 +245,7 @@ def faded(n_samples: int, first: int, last: int) -> Floats:
 
 
 def bridged(signal: NDArray[Any]) -> Floats:
-    """``signal`` (n,) in double precision without its mean, with straight lines where it is NaN; 0 where it all is."""
+    """``signal`` (samples,) in double precision without its mean, straight lines in place of NaN; 0 if all is NaN."""
     made = np.array(signal, dtype=np.float64)
     missing = np.isnan(made)
     if missing.any():

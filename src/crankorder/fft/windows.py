@@ -49,7 +49,7 @@ class Window:
         return float(len(values) * (values @ values) / values.sum() ** 2)
 
     def response(self, offset_bins: Floats) -> Floats:
-        """Share of a tone's amplitude that a bin shows from which the tone lies ``offset_bins`` (any shape) away."""
+        """Share, 0 to 1, of a tone's amplitude in a bin from which the tone lies ``offset_bins`` (any shape) away."""
         n = len(self.values)
         centred = (np.arange(n) - 0.5 * n) / n
         turned = np.exp(-2j * np.pi * np.outer(np.asarray(offset_bins, dtype=np.float64), centred))
