@@ -89,9 +89,9 @@ class TwinAccuracy:
 def publish_accuracy(out: Path, *, on: Path | None = None, draws: int = 1) -> tuple[list[Path], str]:
     """Paths of ``accuracy.json`` and ``accuracy.txt`` written into ``out``, and the text.
 
-    Without ``on`` the speed against error of the order transform on this machine; with it that of a twin of the test
-    whose results are there, drawn ``draws`` times. Raises RequestError where ``on`` holds no results of one test with
-    known speeds or ``out`` lies among results.
+    Without ``on`` they tell the speed against error of the order transform on this machine; with it the accuracy on
+    twins of the test whose results are in ``on``, drawn ``draws`` times. Raises RequestError where ``on`` holds no
+    results of one test with known speeds, or where ``out`` lies among results.
     """
     refuse_results(out, [] if on is None else result_folders(on))
     measured: dict[str, object]
@@ -108,7 +108,7 @@ def publish_accuracy(out: Path, *, on: Path | None = None, draws: int = 1) -> tu
 
 
 def speed_against_error() -> Iterator[Timed]:
-    """Order maps of one recording at each tolerance, timed, against the amplitudes and phases that were put in."""
+    """Order maps of one recording at each tolerance, timed, compared with the true amplitudes and phases."""
     phases = np.random.default_rng(1).uniform(-np.pi, np.pi, (3, len(LINES)))
     seconds = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
     signals = [
@@ -150,7 +150,7 @@ def _times(turns: Floats) -> Floats:
 
 
 def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
-    """How well the analysis of the results in ``result``, a test's folder, does on ``draws`` twins of it.
+    """Accuracy of the analysis on ``draws`` twins of the test whose results are in the folder ``result``.
 
     Raises RequestError where it holds no results of one test that has orders, a Campbell map and speeds over time.
     """

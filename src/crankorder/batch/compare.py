@@ -108,8 +108,8 @@ def publish_comparison(
 ) -> list[Path]:
     """Paths of the files written into ``out``: comparison.json, comparison.nc, pictures, page; whole or not at all.
 
-    ``results`` as :func:`compare_results` makes them; ``report``: settings of the report by key, before the defaults.
-    Raises RequestError where ``out`` holds results of a run, EnvironmentFailure where it cannot be written.
+    ``results`` are those of :func:`compare_results`, ``report`` has settings of the report by key, in place of the
+    defaults. Raises RequestError where ``out`` holds results of a run, EnvironmentFailure where it cannot be written.
     """
     refuse_results(out, results.folders)
     files = _files(results, load_settings(asked={"report": report or {}}).report)
@@ -119,9 +119,9 @@ def publish_comparison(
 
 
 def refuse_results(out: Path, folders: Sequence[Path]) -> None:
-    """Refuse an ``out`` that is one of results, of ``folders``, or inside: results are never replaced by others.
+    """Refuse a folder ``out`` that holds results, is one of ``folders`` or lies inside one.
 
-    Raises RequestError then.
+    Raises RequestError then: results are never replaced by others.
     """
     where = out.resolve()
     if out.exists() and not out.is_dir():

@@ -66,11 +66,11 @@ def run_plans(
     tell: Callable[[Outcome], None],
     wait: Callable[[str], object] = lambda text: None,
 ) -> list[Outcome]:
-    """What became of each of ``plans``, run with ``options``, whose results and index are published in ``out``.
+    """Outcome of each of ``plans``, run with ``options``; results and index are published in ``out``.
 
-    ``reporting`` hashes their recordings and writes their files; ``watched`` gives, for the name of a test, what is
-    told of its progress while it runs; ``tell`` is called with each outcome, ``wait`` with a sentence where another
-    process that writes the same results is waited for.
+    ``reporting`` hashes their recordings and writes their files; ``watched`` gives, for the name of a test, the context
+    in which its progress is shown; ``tell`` is called with each outcome, ``wait`` with a sentence while another process
+    writes the same results.
     """
     outcomes = []
     for plan in plans:
@@ -101,8 +101,8 @@ def run_test(
 ) -> Outcome:
     """Analyse the test of ``plan`` with ``options`` and publish its results; no fault of the input is raised.
 
-    ``reporting`` has the hashes of its recordings and writes its files; ``progress`` is told of every recording that is
-    done.
+    ``reporting`` has the hashes of its recordings and writes its files; ``progress`` is called for every recording that
+    is done.
     """
     run = _TestRun(plan, options, reporting, progress)
     outcome = run.outcome
@@ -434,7 +434,7 @@ def engine_of_test(plan: CampaignPlan) -> Engine | None:
 
 
 def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) -> MachineModel:
-    """What ``manifest`` and ``engine`` say of the machine; less where ``settings`` ask for no findings that need it."""
+    """MachineModel from ``manifest`` and ``engine``; without the engine's where ``settings`` ask for no findings."""
     orders: tuple[float, ...] = ()
     bearings = manifest.bearings
     if engine is not None and "findings" in settings.report.results:

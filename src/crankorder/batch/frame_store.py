@@ -58,7 +58,7 @@ class FrameStore:
         return self.folder / f"{key}.frames"
 
     def load(self, key: str) -> PackedResult | None:
-        """What was kept under ``key``; None where nothing is, or where it is damaged."""
+        """Result that was kept under ``key``; None where there is none, or where it is damaged."""
         try:
             PackedResult.checked(np.fromfile(self.path(key), dtype=np.uint8))
             return PackedResult(self.path(key))
@@ -66,7 +66,7 @@ class FrameStore:
             return None
 
     def save(self, key: str, result: PackedResult) -> PackedResult:
-        """``result`` as it is kept under ``key``; where the disk is nearly full or cannot be written, as it is."""
+        """Keep ``result`` under ``key`` and return the kept one; ``result`` itself where the disk does not allow it."""
         with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
             if shutil.disk_usage(self.folder).free < LEAST_FREE_BYTES:

@@ -138,7 +138,7 @@ class ReportingProcess:
 
 
 def prepare(*, draws: bool) -> None:
-    """Load what writes and, where it ``draws``, its fonts too: worth doing before there is anything to show."""
+    """Load the libraries that write results, and where it ``draws`` those that draw, ahead of time."""
     from crankorder.report.page import index_page
 
     if draws:
@@ -233,8 +233,8 @@ FORMATS = ("uff58", "csv", "parquet")
 def export_results(result: Path, out: Path, *, to: str, binary: bool = False) -> list[Path]:
     """Paths of the files written into ``out``, a folder ``<test>-<format>`` for each test of ``result``.
 
-    ``result``: a ``results.nc``, the folder of a test, or the whole ``--out`` of a run. ``to``: "uff58" makes
-    ``results.uff`` (``binary``: 58b), "csv" and "parquet" a file for each table (Parquet also of the maps).
+    ``result`` is a ``results.nc``, the folder of a test, or the whole ``--out`` of a run. With ``to`` "uff58" it is
+    ``results.uff`` (58b where ``binary``), with "csv" and "parquet" a file for each table (Parquet also of the maps).
     Raises RequestError where there are no results, where ``to`` is none of these or ``out`` holds results of a run;
     InputError where results are damaged.
     """
