@@ -80,22 +80,22 @@ def recording(
         DataArray, of several channels with a dimension ``channel``; or time series of SDyPy (SEP 5: a list of dicts
         with ``data``, ``name``, ``unit_str`` and ``fs`` or ``time``), which say their rate and units themselves
     rate_hz : samples per second of signals, encoder and index; > 0
-    samples_per_rev : samples per crank revolution instead, where they were taken by crank angle
-    unit : of all channels, or of each by name: "m/s2", "g", "mm/s", "Pa", "bar", "N", "V" …
+    samples_per_rev : samples per crank revolution instead, where they were taken by crank angle; > 0
+    unit : unit of all channels, or of each by name: "m/s2", "g", "mm/s", "Pa", "bar", "N", "V" …
     pulse_times_s : (pulses,), s, times of the encoder's pulses, ascending, on the clock of the samples (``start_s``)
     encoder : the encoder's voltage, (samples,), instead
-    speed_rpm : speed of the crank instead, a number or (samples,)
+    speed_rpm : speed of the crank instead, rpm, a number or (samples,)
     pulses_per_rev : pulses per revolution of the whole wheel, missing teeth included: 60 of a 60-2 wheel
     missing_teeth : teeth that the wheel lacks in one gap: 2 of a 60-2 wheel
     index : the once-per-revolution mark: its times (marks,) in s beside ``pulse_times_s``, its voltage (samples,)
         beside ``encoder``
     index_to_tdc_deg : angle from the mark to top dead centre, degrees; without it phases refer to the mark
-    ratio : encoder revolutions per crank revolution
+    ratio : encoder revolutions per crank revolution; > 0
     cycle : "four-stroke", "two-stroke", "rotor", or "none" of a structure without a shaft
     start_s, start_deg : time in s, or crank angle in degrees, of the first sample
-    name : what flags and errors call the recording
+    name : name of the recording in flags and errors
 
-    What was doubted or mended stands in ``attrs["quality"]`` (JSON); what is suspect in a test is warned of.
+    Doubts and repairs stand in ``attrs["quality"]`` (JSON); "suspect" ones give a warning when it is analysed.
     Raises RequestError or ManyErrors where the arguments contradict each other, InputError where the data are damaged.
 
     >>> import numpy as np, crankorder as co

@@ -488,9 +488,9 @@ def analyse_recording(
 
 
 def compare_recordings(recordings: list[RecordingResult], *, strict: bool, settings: Settings) -> Doubts:
-    """Doubts about the ``recordings`` of a test beside each other; ``strict`` leaves out "suspect" ones too.
+    """Doubts about the ``recordings`` of a test from comparing them; ``strict`` leaves out "suspect" ones too.
 
-    ``settings`` of all stages.
+    ``settings`` are those of all stages.
     """
     flags = {recording.name: recording.flags for recording in recordings}
     given = {**_gathered(recordings), RecordingFlags: flags, Strict: strict, Settings: settings}
@@ -503,8 +503,8 @@ def analyse_test(
 ) -> CampaignResult:
     """The results of the test named ``test`` that its ``settings`` ask for, from those of its ``recordings``.
 
-    What the ``doubts`` leave out takes no part. ``sources`` says what the machine is made of; ``settings`` are those
-    of all stages.
+    Recordings and channels that ``doubts`` leave out take no part. ``sources`` says what the machine is made of;
+    ``settings`` are those of all stages.
     """
     kept = [recording.doubted(doubts) for recording in recordings if recording.name not in doubts.left_out]
     results = settings.report.results
