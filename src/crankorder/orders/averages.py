@@ -184,10 +184,10 @@ def independent_by_memory(scatter: Complexes, owner: Ints, count: Ints) -> Float
 
 
 def beside_bins(order: Floats, *, line_step: float, count: int = BESIDE_BINS) -> tuple[Ints, Floats]:
-    """Indices (orders, ``count``) of the nearest bins that hold noise, and how many independent ones they are worth.
+    """Indices (orders, count) of the nearest bins that hold noise, and how many independent ones (orders,) they are.
 
-    ``order`` (orders,) is the axis; bins within one of a multiple of ``line_step`` may hold lines and are left out
-    where enough others are left, those within one of the bin itself and of zero always.
+    ``order`` (orders,) is the axis, ``count`` the number of bins wanted; bins within one of a multiple of ``line_step``
+    may hold lines and are left out where enough others are left, those within one of the bin itself and of zero always.
     """
     return _beside_bins(tuple(order.tolist()), line_step, count)
 
@@ -276,10 +276,10 @@ def noise_under(level: Floats, energy: Floats, bins: Ints, at: float, independen
 
 
 def steepest_noise_beside(energy: Floats, bins: Ints) -> Floats:
-    """Noise power (…, orders) as of :func:`noise_beside`, of the larger side alone where the noise slopes.
+    """Noise power (…, orders) as in :func:`noise_beside`, but of the larger side only where the noise slopes.
 
-    ``energy`` (…, orders) of a frame in ``bins`` (orders, several) that grow. A line on the flank of a resonance lies
-    in more noise than the mean of both sides.
+    ``energy`` (…, orders) is that of a frame, ``bins`` (orders, several) are rising. A line on the flank of a resonance
+    lies in more noise than the mean of both sides.
     """
     beside, noise = _noise_bins(energy, bins)
     half = bins.shape[1] // 2

@@ -243,9 +243,9 @@ def _flags(
 def spectra(samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, *, density: int = 1) -> Complexes:
     """Spectra (channels, frames, orders) of ``samples`` by the kernel and on the frames of ``layout``.
 
-    In peak amplitude, phases from crank angle 0 of ``shaft``. Where the angle is smooth, nothing folds onto a wanted
-    order; where it scatters from tooth to tooth, ``density`` times as many samples per revolution are taken. Frames of
-    a channel that touch one of its gaps are NaN.
+    They are in peak amplitude, with phases from crank angle 0 of the ShaftAngle ``shaft``. Where the angle is smooth,
+    nothing folds onto a wanted order; where it scatters from tooth to tooth, ``density`` times as many samples per
+    revolution are taken. Frames of a channel that touch one of its gaps are NaN.
     """
     spectrum = np.empty((len(samples.signals), len(layout.begin_rev), layout.n_orders), dtype=np.complex128)
     kernel = layout.kernel
@@ -314,9 +314,8 @@ def achieved_error(
 
     The truth is the same frame of the same ``samples`` and ``shaft``, resampled four times as densely as with
     ``density`` and by a kernel without an error of its own where the recording has the neighbours that it takes.
-    ``layout`` says where the frames lie, ``speed_rpm`` (frames,) how fast they are; orders beyond the content of the
-    samples are not looked at. NaN where no frame is whole, or where the
-    recording has no neighbours to compare with.
+    ``layout`` says where the frames lie, ``speed_rpm`` (frames,) are their speeds; orders beyond the content of the
+    samples do not count. NaN where no frame is whole, or where the recording has no neighbours to compare with.
     """
     whole = np.isfinite(spectrum[:, :, 0])
     if not whole.any():

@@ -53,9 +53,10 @@ def amplitude_interval(amplitude: Floats, noise_power: Floats, dof: Floats) -> t
     Parameters
     ----------
     amplitude : any shape, magnitude of the complex estimate; NaN gives NaN
-    noise_power : mean square of its complex error; the standard error of the amplitude is the root of half of it
-    dof : degrees of freedom of ``noise_power``; 0 or NaN gives 0 and infinity. All three broadcast to the shape of
-        both results
+    noise_power : any shape, mean square of its complex error; the standard error of the amplitude is the root of half
+        of it
+    dof : any shape, degrees of freedom of ``noise_power``; 0 or NaN gives 0 and infinity. All three broadcast to the
+        shape of both results
     """
     amplitude, noise_power, dof = np.broadcast_arrays(amplitude, noise_power, dof)
     tail = 0.5 * (1.0 - LEVEL)
@@ -119,8 +120,8 @@ def phase_interval_deg(amplitude: Floats, noise_power: Floats, dof: Floats) -> F
 def is_seen(amplitude: Floats, noise_power: Floats, dof: Floats) -> Bools:
     """Whether ``amplitude`` is larger than noise alone makes it once in forty times.
 
-    ``noise_power`` is the mean square of the complex error, ``dof`` its degrees of freedom; all three broadcast to the
-    shape of the result. NaN is not seen.
+    ``amplitude`` (any shape) is the magnitude of the complex estimate, ``noise_power`` the mean square of its error,
+    ``dof`` the degrees of freedom of that; all three broadcast to the shape of the result. NaN is not seen.
     """
     with np.errstate(invalid="ignore"):
         return np.asarray(np.square(amplitude) > noise_power * beyond_chance(dof, 0.5 * (1.0 - LEVEL)))
@@ -291,7 +292,7 @@ def ends_between(
     ends : lower and upper end by the frames alone, each (channels, orders)
     amplitude : (channels, orders), mean over the recordings
     within : noise power and degrees of freedom by the frames, each (channels, orders)
-    wider : both as :func:`wider_of` returns them; where they are no wider ``ends`` are returned
+    wider : both, each (channels, orders), as :func:`wider_of` returns them; where they are no wider ``ends`` stay
     """
     is_wider = (wider[0] != within[0]) & np.isfinite(wider[0])
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -41,8 +41,9 @@ def place_of(name: str, names: list[str]) -> int:
 def coherence_level(n_frames: Floats) -> Floats:
     """Estimated coherence that independent signals stay below in 95 of 100 cases, before its bias is taken off.
 
-    ``n_frames`` independent ones, any shape; NaN below two. Source: Carter 1973, from Goodman's distribution: of
-    independent Gaussian signals it exceeds x with the probability (1 - x)^(n_frames - 1).
+    ``n_frames`` (any shape, which the result has) is the number of independent frames; NaN below two. Source: Carter
+    1973, from Goodman's distribution: of independent Gaussian signals it exceeds x with the probability (1 -
+    x)^(n_frames - 1).
     """
     n = np.asarray(n_frames, dtype=np.float64)
     enough = n >= LEAST_FRAMES

@@ -229,7 +229,7 @@ class _Sums:
 
 
 def rows_of(frames: Sequence[xr.Dataset]) -> Rows | None:
-    """Rows of ``frames`` (OrderFrames) with one mark of the crank, on half orders; None where all are too short."""
+    """Rows (rows, half orders) of OrderFrames ``frames`` with one mark of the crank; None where all are too short."""
     values, noises = [], []
     for item in frames:
         revs = int(item.attrs["revs_per_frame"])

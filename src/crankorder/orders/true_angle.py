@@ -160,7 +160,8 @@ def same_teeth(frames: Sequence[xr.Dataset]) -> bool:
 def errors_of_rows(frames: Sequence[xr.Dataset], owner: Ints, rows: Sequence[Ints]) -> AngleErrors:
     """Errors of the rows of a map of OrderFrames ``frames``, whose recordings err each on its own.
 
-    ``owner`` (frames of all,) is the number of the recording of each, ``rows`` the frames of each row.
+    ``owner`` (frames,) is the number of the recording of each frame of all recordings, ``rows`` are the indices (frames
+    of the row,) of the frames of each row.
     """
     error, of_one = (np.array([float(item.attrs.get(name, 0.0)) for item in frames]) for name in (ERROR, OF_ONE_REV))
     length = np.array([float(item.attrs["revs_per_frame"]) for item in frames])
