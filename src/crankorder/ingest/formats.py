@@ -152,7 +152,7 @@ def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings
 
 
 def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
-    """What the file at ``path`` holds, read cheaply: names, units and rates, without the samples.
+    """Contents of the file at ``path``, read cheaply: names, units and rates, without the samples.
 
     ``settings`` limit what is read. Raises InputError where the file holds no channel of numbers, and the errors of
     :func:`read_file`.
