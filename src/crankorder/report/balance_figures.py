@@ -289,7 +289,7 @@ def _crank_sense(drawing: Drawing, box: Box) -> None:
 
 
 def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Drawing:
-    """Turning moment of gas and masses against crank angle at the highest speed, and both by order beside one another.
+    """Turning moment of gas and masses against crank angle at the highest speed, and both by order side by side.
 
     ``cycle`` is the dataset (speed, crank_angle) of :func:`crankorder.report.balance_dataset.cycle_dataset`,
     ``turning`` the part of the balance sheet by speed, ``title`` that of the engine, ``settings`` are those of the
