@@ -147,9 +147,9 @@ def counted(mask: Bools, begin: ArrayLike, end: ArrayLike) -> Ints:
 
 
 def whole_frames(usable: Bools, starts: Ints, n_frame: int) -> Bools:
-    """Whether all samples of each frame can be used (channels, frames): the frames of ``n_frame`` from ``starts`` on.
+    """Whether (channels, frames) all samples of each frame of ``n_frame`` samples can be used.
 
-    ``starts``: (frames,). ``usable`` (channels, samples) says which samples can.
+    ``starts`` (frames,) are their first samples, ``usable`` (channels, samples) says which samples can.
     """
     return np.asarray(counted(~usable, starts, starts + n_frame) == 0)
 
