@@ -142,9 +142,9 @@ def recording(
 def read(path: str | os.PathLike[str], *, manifest: str | os.PathLike[str] | None = None) -> Any:
     """The Recording in the file ``path``; of a test-run folder a list of all of them, in their order.
 
-    ``manifest``: a ``run.toml`` that lives elsewhere than beside the data (``crankorder init`` drafts one).
-    What cannot be used of a folder is left out with a warning. Raises RequestError or ManyErrors where the manifest is
-    wrong, InputError where a file is damaged or lacks what the manifest names.
+    ``manifest`` is a ``run.toml`` that does not lie beside the data (``crankorder init`` drafts one). Recordings of a
+    folder that cannot be used are left out with a warning. Raises RequestError or ManyErrors where the manifest is
+    wrong, InputError where the one file is damaged or lacks what the manifest names.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:
@@ -201,9 +201,16 @@ def order_map(
     A line is ``amplitude * cos(2 pi order crank_angle + phase)``, the crank angle in revolutions from top dead centre
     or, where that is not stated, from the mark; ``phase`` is in degrees, NaN where recordings have no mark in common.
 
-    ``max_order``: highest order. ``revs_per_frame``: orders are 1 / this apart. ``speed_bin_rpm``: frames whose speeds
-    differ by less are averaged. ``tol``: relative amplitude error that the numerics may add, 1e-12 to 0.1. ``recipe``:
-    a shipped recipe or the path of one, for all that is not given. Raises InputError where no recording can be used.
+    Parameters
+    ----------
+    recordings : one Recording or several of one test
+    max_order : highest order, cycles per crank revolution, above 0
+    revs_per_frame : revolutions of a frame, 1 or more; orders are 1 / this apart
+    speed_bin_rpm : rpm, above 0; frames whose speeds differ by less are averaged
+    tol : relative amplitude error that the numerics may add, 1e-12 to 0.1
+    recipe : a shipped recipe or the path of one, for all that is not given
+
+    Raises RequestError or ManyErrors where a value or the recipe is wrong, InputError where no recording can be used.
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
@@ -226,8 +233,14 @@ def campbell_map(
 ) -> xr.Dataset:
     """Spectra of ``recordings`` against speed (CampbellMap): amplitude of a tone, (channel, speed, frequency).
 
-    ``max_frequency_hz``: highest frequency. ``resolution_hz``: distance of two lines. ``speed_bin_rpm`` and ``recipe``
-    are those of :func:`order_map`. Raises InputError where no recording can be used.
+    Parameters
+    ----------
+    recordings : one Recording or several of one test
+    max_frequency_hz : highest frequency, Hz, above 0
+    resolution_hz : distance of two lines, Hz, above 0
+    speed_bin_rpm, recipe : those of :func:`order_map`
+
+    Raises RequestError or ManyErrors where a value or the recipe is wrong, InputError where no recording can be used.
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
@@ -250,9 +263,14 @@ def order_tracks(
 ) -> xr.Dataset:
     """Amplitude and phase of ``orders`` of ``recordings`` against speed (OrderTracks), (channel, order, speed).
 
-    ``orders``: those to follow; without them, those that are found. ``method``: "auto" (sweeps jointly by Vold–Kalman,
-    steady speeds off the map) or "frames" (all off the map). ``recipe`` is that of :func:`order_map`. Raises InputError
-    where no recording can be used.
+    Parameters
+    ----------
+    recordings : one Recording or several of one test
+    orders : orders to follow, cycles per crank revolution, above 0; without them, those that are found
+    method : "auto" (sweeps jointly by Vold–Kalman, steady speeds from the map) or "frames" (all from the map)
+    recipe : that of :func:`order_map`
+
+    Raises RequestError or ManyErrors where a value or the recipe is wrong, InputError where no recording can be used.
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
@@ -301,9 +319,16 @@ def diagnose(
 
     A notebook shows the headline and the tables of the report page.
 
-    ``engine``: a shipped engine or the path of a TOML file. ``bearings``, ``gears``, ``motor``: tables of the manifest,
-    with its keys. ``test``: its name. ``recipe`` is that of :func:`order_map`. Raises ManyErrors where a table is
-    wrong, InputError where no recording can be used.
+    Parameters
+    ----------
+    recordings : one Recording or several of one test
+    engine : a shipped engine or the path of a TOML file
+    bearings, gears, motor : tables of the manifest, with its keys
+    test : name of the test
+    recipe : that of :func:`order_map`
+
+    Raises ManyErrors where a table is wrong, RequestError where engine or recipe is, InputError where no recording can
+    be used.
 
     >>> import numpy as np, crankorder as co
     >>> rng, time = np.random.default_rng(1), np.arange(80_000) / 10_000.0
@@ -405,9 +430,10 @@ def compare(
 ) -> Sheet:
     """What changed from the results in ``base`` to the last of ``new`` (``data_schema/comparison.json``).
 
-    Several ``new`` in time order give the trend over all. ``fdr``: the share of the claimed changes that may be
-    chance, 0 to 0.5. ``out``: a folder for page, pictures and NetCDF. Raises RequestError where a folder holds no
-    test's results, InputError where they are damaged or hold nothing that can be compared.
+    Several ``new`` in time order give the trend over all. ``fdr`` is the share of the claimed changes that may be
+    chance, above 0, up to 0.5; ``out`` is a folder for page, pictures and NetCDF. Raises RequestError where a folder
+    holds no test's results, where none is ``new`` or ``fdr`` is out of range, InputError where results are damaged or
+    hold nothing that can be compared.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:
@@ -431,10 +457,10 @@ def compare(
 def export(result: str | os.PathLike[str], *, to: str, out: str | os.PathLike[str], binary: bool = False) -> list[Path]:
     """Paths of the files for other programs that ``result`` became, in a folder ``<test>-<to>`` of ``out`` per test.
 
-    ``result``: a ``results.nc``, a test's folder, or a whole ``--out``. ``to``: "uff58" (a universal file of order cuts
-    and waterfalls; ``binary``: 58b), "csv" or "parquet" (a table each of tracks, modes, crossings, lines and what else
-    was found, with units; Parquet also of the maps, by pyarrow). Raises RequestError where there are no results or
-    ``out`` lies among them.
+    ``result`` is a ``results.nc``, a test's folder, or a whole ``--out``. ``to`` is "uff58" (a universal file of order
+    cuts and waterfalls; 58b where ``binary``), "csv" or "parquet" (a table each of tracks, modes, crossings, lines and
+    other findings, with units; Parquet also of the maps, by pyarrow). Raises RequestError where there are no results,
+    ``to`` is none of these or ``out`` lies among results, InputError where results are damaged.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:
@@ -451,9 +477,14 @@ def balance(
 ) -> Sheet:
     """Forces by order, balance strategies, shafts and residuals of ``engine`` (``data_schema/balance.json``).
 
-    ``engine``: a shipped engine or the path of a TOML file. ``max_order``: highest order in the tables, 4 to 1000.
-    ``speeds_rpm``: crank speeds at which forces are given; those of the file where empty. ``out``: a folder for
-    pictures and NetCDF. Raises RequestError where there is no such engine, ManyErrors with every fault of its file.
+    Parameters
+    ----------
+    engine : a shipped engine or the path of a TOML file
+    max_order : highest order in the tables, 4 to 1000
+    speeds_rpm : crank speeds, rpm, above 0, at which forces are given; those of the file where empty
+    out : a folder for pictures and NetCDF
+
+    Raises RequestError where there is no such engine, ManyErrors with every fault of its file.
 
     >>> import crankorder as co
     >>> co.balance("msu-standard", speeds_rpm=[1500.0])["masses_g"]["reciprocating"] > 0.0
@@ -468,8 +499,8 @@ def balance(
 def synthesise(scene: str, out: str | os.PathLike[str], *, quick: bool = False) -> list[Path]:
     """Folders written below ``out`` for ``scene``: test runs with ``run.toml``, recordings and ``truth.json``.
 
-    ``scene``: a shipped scene or the path of a TOML file; ``quick``: its short version. A scene of several repeats
-    makes a folder for each. Raises ManyErrors for a bad scene, RequestError for a folder with other content.
+    ``scene`` is a shipped scene or the path of a TOML file; ``quick`` asks for its short version. A scene of several
+    repeats makes a folder for each. Raises ManyErrors for a wrong scene, RequestError for a folder with other content.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:

@@ -193,7 +193,7 @@ def tracks_of_recording(
 ) -> RecordingTracks:
     """Orders followed through ``band`` by ``shaft``: those asked for and, in sweeps, those of ``frames``.
 
-    ``settings``: of orders, and of identify for what stands out.
+    The ``settings`` of orders count, and those of identify for what stands out.
     """
     from crankorder.identify.lines.order_lines import swept_orders  # with much that maps alone need not wait for
 
@@ -225,9 +225,9 @@ def envelope_of_recording(
 
 @stage
 def levels_of_recording(recording: Recording, shaft: ShaftAngle, settings: Settings) -> RecordingLevels:
-    """Overall level of ``recording`` and what lies above the band that its orders by ``shaft`` and its map show.
+    """Overall level of ``recording``, and its part above the band that its orders by ``shaft`` and its map show.
 
-    ``settings``: of orders and campbell, which say where that band ends.
+    The ``settings`` of orders and campbell say where that band ends.
     """
     return RecordingLevels(recording_levels(recording, shaft, orders=settings.orders, campbell=settings.campbell))
 
@@ -256,10 +256,10 @@ def doubts(
     strict: Strict,
     settings: Settings,
 ) -> Doubts:
-    """What recordings beside each other tell to doubt and leave out, by ``shafts``, ``levels`` and frames as ``shown``.
+    """Doubts from comparing recordings by ``shafts``, ``levels`` and frames as ``shown``.
 
-    ``told``: the flags of each recording by name; ``strict`` leaves out "suspect" ones too. ``settings`` of ingest.
-    What the stages below gather of the recordings is without what is left out.
+    ``told`` has the flags of each recording by name; ``strict`` leaves out "suspect" ones too; ``settings`` of ingest
+    count. The stages below gather recordings without what is left out.
     """
     return doubts_of(shafts, levels, shown, told, strict=strict, settings=settings.ingest)
 
