@@ -233,12 +233,8 @@ def campbell_map(
 ) -> xr.Dataset:
     """Spectra of ``recordings`` against speed (CampbellMap): amplitude of a tone, (channel, speed, frequency).
 
-    Parameters
-    ----------
-    recordings : one Recording or several of one test
-    max_frequency_hz : highest frequency, Hz, above 0
-    resolution_hz : distance of two lines, Hz, above 0
-    speed_bin_rpm, recipe : those of :func:`order_map`
+    ``max_frequency_hz`` is the highest frequency [Hz], ``resolution_hz`` the distance of two lines [Hz], both above 0.
+    ``recordings``, ``speed_bin_rpm`` and ``recipe`` are those of :func:`order_map`.
 
     Raises RequestError or ManyErrors where a value or the recipe is wrong, InputError where no recording can be used.
 
@@ -477,14 +473,10 @@ def balance(
 ) -> Sheet:
     """Forces by order, balance strategies, shafts and residuals of ``engine`` (``data_schema/balance.json``).
 
-    Parameters
-    ----------
-    engine : a shipped engine or the path of a TOML file
-    max_order : highest order in the tables, 4 to 1000
-    speeds_rpm : crank speeds, rpm, above 0, at which forces are given; those of the file where empty
-    out : a folder for pictures and NetCDF
-
-    Raises RequestError where there is no such engine, ManyErrors with every fault of its file.
+    ``engine`` is a shipped engine or the path of a TOML file, ``max_order`` the highest order in the tables, 4 to 1000.
+    ``speeds_rpm`` are crank speeds [rpm], above 0, at which forces are given; those of the file where empty. ``out`` is
+    a folder for pictures and NetCDF. Raises RequestError where there is no such engine, ManyErrors with every fault of
+    its file.
 
     >>> import crankorder as co
     >>> co.balance("msu-standard", speeds_rpm=[1500.0])["masses_g"]["reciprocating"] > 0.0
