@@ -48,7 +48,7 @@ ELECTRIC: tuple[str, ...] = ("mains", "field of a motor")
 
 
 def electric(kinds: Sequence[str]) -> bool:
-    """Whether causes of such ``kinds``, the likeliest first, are the mains or the field of a motor, and no order."""
+    """Whether causes of these ``kinds``, the likeliest first, are the mains or the field of a motor, and no order."""
     return kinds[0] in ELECTRIC and "order" not in kinds
 
 
@@ -113,7 +113,7 @@ BY_A_SWING = Cause("sideband by a swing of the angle").either(Cause("a line of i
 
 
 def mains_words(multiple: int) -> str:
-    """What a line at ``multiple`` times the mains frequency is called: "mains", "twice mains", "3 x mains"."""
+    """Name of a line at ``multiple`` times the mains frequency: "mains", "twice mains", "3 x mains"."""
     return {1: "mains", 2: "twice mains"}.get(multiple, f"{multiple} x mains")
 
 
@@ -132,8 +132,8 @@ ALIKE_SPEEDS = 1.005
 
 
 def alike_speeds(speed_rpm: Floats | Sequence[float]) -> bool:
-    """Whether ``speed_rpm`` are so alike that a line of fixed frequency keeps its order; not where any is unknown.
+    """Whether ``speed_rpm`` (speeds,) are so alike that a line of fixed frequency keeps its order.
 
-    ``speed_rpm``: (speeds,).
+    False where any speed is unknown.
     """
     return len(speed_rpm) > 0 and bool(np.max(speed_rpm) <= ALIKE_SPEEDS * np.min(speed_rpm))

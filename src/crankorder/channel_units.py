@@ -46,9 +46,10 @@ def unit_text(unit: str) -> str:
 
 
 def with_real_units(dataset: xr.Dataset) -> xr.Dataset:
-    """``dataset`` with its channels' unit in the ``units`` of every variable, parted by quantity where these differ.
+    """``dataset`` (channel, …) with its channels' unit in the ``units`` of every variable, parted by quantity.
 
-    A dataset without the variable ``unit`` stays as it is. :func:`by_channel` turns it back.
+    A variable is parted only where quantities differ: each part keeps the shape, with NaN in the channels of others. A
+    dataset without the variable ``unit`` stays as it is. :func:`by_channel` is the inverse.
     """
     if not any(variable.attrs.get("units") in FORMS for variable in dataset.variables.values()):
         return dataset
@@ -73,9 +74,9 @@ def with_real_units(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def by_channel(dataset: xr.Dataset) -> xr.Dataset:
-    """``dataset`` as the program has it inside, one variable for all channels: what :func:`with_real_units` parted.
+    """``dataset`` (channel, …) as the program has it inside: one variable for all channels.
 
-    A dataset that has no real units is returned as it is.
+    It is the inverse of :func:`with_real_units`; a dataset that has no real units is returned as it is.
     """
     if not any(_INSIDE in variable.attrs for variable in dataset.variables.values()):
         return dataset

@@ -78,7 +78,7 @@ def printable(value: object, limit: int = 200) -> str:
 
 
 def plain_number(value: float) -> str:
-    """``value`` to four significant digits as a sentence has it: no power of ten from 1e-4 to 1e6, a true minus."""
+    """``value``, in any unit, to four significant digits for a sentence: no exponent from 1e-4 to 1e6, a true minus."""
     text = f"{value:.4g}"
     return (f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text).replace("-", "−")
 

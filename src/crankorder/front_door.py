@@ -80,21 +80,22 @@ def recording(
         DataArray, of several channels with a dimension ``channel``; or time series of SDyPy (SEP 5: a list of dicts
         with ``data``, ``name``, ``unit_str`` and ``fs`` or ``time``), which say their rate and units themselves
     rate_hz : samples per second of signals, encoder and index; > 0
-    samples_per_rev : samples per crank revolution instead, where they were taken by crank angle
-    unit : of all channels, or of each by name: "m/s2", "g", "mm/s", "Pa", "bar", "N", "V" …
-    pulse_times_s : times of the encoder's pulses, s, ascending, on the clock of the samples (``start_s``)
+    samples_per_rev : samples per crank revolution instead, where they were taken by crank angle; > 0
+    unit : unit of all channels, or of each by name: "m/s2", "g", "mm/s", "Pa", "bar", "N", "V" …
+    pulse_times_s : (pulses,), s, times of the encoder's pulses, ascending, on the clock of the samples (``start_s``)
     encoder : the encoder's voltage, (samples,), instead
-    speed_rpm : speed of the crank instead, a number or (samples,)
+    speed_rpm : speed of the crank instead, rpm, a number or (samples,)
     pulses_per_rev : pulses per revolution of the whole wheel, missing teeth included: 60 of a 60-2 wheel
     missing_teeth : teeth that the wheel lacks in one gap: 2 of a 60-2 wheel
-    index : the once-per-revolution mark: its times in s beside ``pulse_times_s``, its voltage beside ``encoder``
-    index_to_tdc_deg : angle from the mark to top dead centre; without it phases refer to the mark
-    ratio : encoder revolutions per crank revolution
+    index : the once-per-revolution mark: its times (marks,) in s beside ``pulse_times_s``, its voltage (samples,)
+        beside ``encoder``
+    index_to_tdc_deg : angle from the mark to top dead centre, degrees; without it phases refer to the mark
+    ratio : encoder revolutions per crank revolution; > 0
     cycle : "four-stroke", "two-stroke", "rotor", or "none" of a structure without a shaft
-    start_s, start_deg : time or crank angle of the first sample
-    name : what flags and errors call the recording
+    start_s, start_deg : time in s, or crank angle in degrees, of the first sample
+    name : name of the recording in flags and errors
 
-    What was doubted or mended stands in ``attrs["quality"]`` (JSON); what is suspect in a test is warned of.
+    Doubts and repairs stand in ``attrs["quality"]`` (JSON); "suspect" ones give a warning when it is analysed.
     Raises RequestError or ManyErrors where the arguments contradict each other, InputError where the data are damaged.
 
     >>> import numpy as np, crankorder as co
@@ -141,9 +142,9 @@ def recording(
 def read(path: str | os.PathLike[str], *, manifest: str | os.PathLike[str] | None = None) -> Any:
     """The Recording in the file ``path``; of a test-run folder a list of all of them, in their order.
 
-    ``manifest``: a ``run.toml`` that lives elsewhere than beside the data (``crankorder init`` drafts one).
-    What cannot be used of a folder is left out with a warning. Raises RequestError or ManyErrors where the manifest is
-    wrong, InputError where a file is damaged or lacks what the manifest names.
+    ``manifest`` is a ``run.toml`` that does not lie beside the data (``crankorder init`` drafts one). Recordings of a
+    folder that cannot be used are left out with a warning. Raises RequestError or ManyErrors where the manifest is
+    wrong, InputError where the one file is damaged or lacks what the manifest names.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:
@@ -169,9 +170,10 @@ def read(path: str | os.PathLike[str], *, manifest: str | os.PathLike[str] | Non
 
 
 def crank_angle(recording: xr.Dataset) -> xr.Dataset:
-    """Crank angle (rev), speed (rpm) and standard error (rev) of ``recording`` on time knots (ShaftAngle).
+    """Crank angle (rev), speed (rpm) and standard error (rev), each (time,), of ``recording`` on knots (ShaftAngle).
 
-    Raises InputError where the pulses tell no angle.
+    Raises RequestError where ``recording`` is no dataset, SchemaError where it is no Recording, InputError where the
+    pulses tell no angle.
 
     >>> import numpy as np, crankorder as co
     >>> turns = np.arange(0.0, 4.0, 1 / (25.0 * 60))
@@ -199,9 +201,16 @@ def order_map(
     A line is ``amplitude * cos(2 pi order crank_angle + phase)``, the crank angle in revolutions from top dead centre
     or, where that is not stated, from the mark; ``phase`` is in degrees, NaN where recordings have no mark in common.
 
-    ``max_order``: highest order. ``revs_per_frame``: orders are 1 / this apart. ``speed_bin_rpm``: frames whose speeds
-    differ by less are averaged. ``tol``: relative amplitude error that the numerics may add, 1e-12 to 0.1. ``recipe``:
-    a shipped recipe or the path of one, for all that is not given. Raises InputError where no recording can be used.
+    Parameters
+    ----------
+    recordings : one Recording or several of one test
+    max_order : highest order, cycles per crank revolution, above 0
+    revs_per_frame : revolutions of a frame, 1 or more; orders are 1 / this apart
+    speed_bin_rpm : rpm, above 0; frames whose speeds differ by less are averaged
+    tol : relative amplitude error that the numerics may add, 1e-12 to 0.1
+    recipe : a shipped recipe or the path of one, for all that is not given
+
+    Raises RequestError or ManyErrors where a value or the recipe is wrong, InputError where no recording can be used.
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
@@ -224,8 +233,10 @@ def campbell_map(
 ) -> xr.Dataset:
     """Spectra of ``recordings`` against speed (CampbellMap): amplitude of a tone, (channel, speed, frequency).
 
-    ``max_frequency_hz``: highest frequency. ``resolution_hz``: distance of two lines. ``speed_bin_rpm`` and ``recipe``
-    are those of :func:`order_map`. Raises InputError where no recording can be used.
+    ``max_frequency_hz`` is the highest frequency [Hz], ``resolution_hz`` the distance of two lines [Hz], both above 0.
+    ``recordings``, ``speed_bin_rpm`` and ``recipe`` are those of :func:`order_map`.
+
+    Raises RequestError or ManyErrors where a value or the recipe is wrong, InputError where no recording can be used.
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
@@ -248,9 +259,14 @@ def order_tracks(
 ) -> xr.Dataset:
     """Amplitude and phase of ``orders`` of ``recordings`` against speed (OrderTracks), (channel, order, speed).
 
-    ``orders``: those to follow; without them, those that are found. ``method``: "auto" (sweeps jointly by Vold–Kalman,
-    steady speeds off the map) or "frames" (all off the map). ``recipe`` is that of :func:`order_map`. Raises InputError
-    where no recording can be used.
+    Parameters
+    ----------
+    recordings : one Recording or several of one test
+    orders : orders to follow, cycles per crank revolution, above 0; without them, those that are found
+    method : "auto" (sweeps jointly by Vold–Kalman, steady speeds from the map) or "frames" (all from the map)
+    recipe : that of :func:`order_map`
+
+    Raises RequestError or ManyErrors where a value or the recipe is wrong, InputError where no recording can be used.
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
@@ -267,8 +283,9 @@ def order_tracks(
 def envelope(recordings: Recordings, *, bearings: Tables = (), recipe: str | None = None) -> xr.Dataset:
     """Order spectra of the squared envelope of ``recordings`` (EnvelopeMap), in the band that shows strikes most.
 
-    ``bearings``: what strikes are looked for, with the keys of the manifest's ``[[bearings]]``; at least one.
-    ``recipe`` is that of :func:`order_map`. Raises InputError where no recording can be used.
+    Variables are (channel, speed, order). ``bearings`` say which strikes are looked for, with the keys of the
+    manifest's ``[[bearings]]``; at least one. ``recipe`` is that of :func:`order_map`. Raises RequestError without
+    bearings, InputError where no recording can be used.
 
     >>> import numpy as np, crankorder as co
     >>> rng, ring = np.random.default_rng(1), np.exp(-np.arange(60) / 15) * np.cos(1.9 * np.arange(60))
@@ -298,9 +315,16 @@ def diagnose(
 
     A notebook shows the headline and the tables of the report page.
 
-    ``engine``: a shipped engine or the path of a TOML file. ``bearings``, ``gears``, ``motor``: tables of the manifest,
-    with its keys. ``test``: its name. ``recipe`` is that of :func:`order_map`. Raises ManyErrors where a table is
-    wrong, InputError where no recording can be used.
+    Parameters
+    ----------
+    recordings : one Recording or several of one test
+    engine : a shipped engine or the path of a TOML file
+    bearings, gears, motor : tables of the manifest, with its keys
+    test : name of the test
+    recipe : that of :func:`order_map`
+
+    Raises ManyErrors where a table is wrong, RequestError where engine or recipe is, InputError where no recording can
+    be used.
 
     >>> import numpy as np, crankorder as co
     >>> rng, time = np.random.default_rng(1), np.arange(80_000) / 10_000.0
@@ -334,11 +358,11 @@ def run(
 
     Folders are analysed by their manifests, or by ``manifest``, and their results written into ``out``; what comes back
     is :func:`open` of it. Recordings are analysed in memory and nothing is written; ``engine``, ``bearings``,
-    ``gears``, ``motor`` and ``test`` say then what a manifest would. ``recipe`` and ``tol`` are those of
-    :func:`order_map`; ``jobs`` recordings are analysed at a time (all cores); ``fresh`` recomputes what is finished;
-    ``strict`` leaves out recordings with flags of severity "suspect".
-    What had to be left out is told by warnings. Raises RequestError or ManyErrors before work starts where the request
-    is wrong, NoUsableRecordingError where nothing could be used.
+    ``gears``, ``motor`` and ``test`` say then what a manifest would. ``recipe`` and ``tol`` (relative amplitude error)
+    are those of :func:`order_map`; ``jobs`` recordings are analysed at a time (all cores); ``fresh`` recomputes what is
+    finished; ``strict`` leaves out recordings with flags of severity "suspect". What had to be left out is told by
+    warnings. Raises RequestError or ManyErrors before work starts where the request is wrong, NoUsableRecordingError
+    where nothing could be used.
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
@@ -402,9 +426,10 @@ def compare(
 ) -> Sheet:
     """What changed from the results in ``base`` to the last of ``new`` (``data_schema/comparison.json``).
 
-    Several ``new`` in time order give the trend over all. ``fdr``: the share of the claimed changes that may be
-    chance, 0 to 0.5. ``out``: a folder for page, pictures and NetCDF. Raises RequestError where a folder holds no
-    test's results, InputError where they are damaged or hold nothing that can be compared.
+    Several ``new`` in time order give the trend over all. ``fdr`` is the share of the claimed changes that may be
+    chance, above 0, up to 0.5; ``out`` is a folder for page, pictures and NetCDF. Raises RequestError where a folder
+    holds no test's results, where none is ``new`` or ``fdr`` is out of range, InputError where results are damaged or
+    hold nothing that can be compared.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:
@@ -428,10 +453,10 @@ def compare(
 def export(result: str | os.PathLike[str], *, to: str, out: str | os.PathLike[str], binary: bool = False) -> list[Path]:
     """Paths of the files for other programs that ``result`` became, in a folder ``<test>-<to>`` of ``out`` per test.
 
-    ``result``: a ``results.nc``, a test's folder, or a whole ``--out``. ``to``: "uff58" (a universal file of order cuts
-    and waterfalls; ``binary``: 58b), "csv" or "parquet" (a table each of tracks, modes, crossings, lines and what else
-    was found, with units; Parquet also of the maps, by pyarrow). Raises RequestError where there are no results or
-    ``out`` lies among them.
+    ``result`` is a ``results.nc``, a test's folder, or a whole ``--out``. ``to`` is "uff58" (a universal file of order
+    cuts and waterfalls; 58b where ``binary``), "csv" or "parquet" (a table each of tracks, modes, crossings, lines and
+    other findings, with units; Parquet also of the maps, by pyarrow). Raises RequestError where there are no results,
+    ``to`` is none of these or ``out`` lies among results, InputError where results are damaged.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:
@@ -448,9 +473,10 @@ def balance(
 ) -> Sheet:
     """Forces by order, balance strategies, shafts and residuals of ``engine`` (``data_schema/balance.json``).
 
-    ``engine``: a shipped engine or the path of a TOML file. ``max_order``: highest order in the tables, 4 to 1000.
-    ``speeds_rpm``: crank speeds at which forces are given; those of the file where empty. ``out``: a folder for
-    pictures and NetCDF. Raises RequestError where there is no such engine, ManyErrors with every fault of its file.
+    ``engine`` is a shipped engine or the path of a TOML file, ``max_order`` the highest order in the tables, 4 to 1000.
+    ``speeds_rpm`` are crank speeds [rpm], above 0, at which forces are given; those of the file where empty. ``out`` is
+    a folder for pictures and NetCDF. Raises RequestError where there is no such engine, ManyErrors with every fault of
+    its file.
 
     >>> import crankorder as co
     >>> co.balance("msu-standard", speeds_rpm=[1500.0])["masses_g"]["reciprocating"] > 0.0
@@ -465,8 +491,8 @@ def balance(
 def synthesise(scene: str, out: str | os.PathLike[str], *, quick: bool = False) -> list[Path]:
     """Folders written below ``out`` for ``scene``: test runs with ``run.toml``, recordings and ``truth.json``.
 
-    ``scene``: a shipped scene or the path of a TOML file; ``quick``: its short version. A scene of several repeats
-    makes a folder for each. Raises ManyErrors for a bad scene, RequestError for a folder with other content.
+    ``scene`` is a shipped scene or the path of a TOML file; ``quick`` asks for its short version. A scene of several
+    repeats makes a folder for each. Raises ManyErrors for a wrong scene, RequestError for a folder with other content.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:

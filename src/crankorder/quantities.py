@@ -142,19 +142,19 @@ class QualityFlag(TypedDict):
 
 
 def flags_of(dataset: xr.Dataset) -> list[QualityFlag]:
-    """Quality flags that ``dataset`` carries, in the order in which they were raised."""
+    """Quality flags that ``dataset`` (any dims) carries, in the order in which they were raised."""
     flags: list[QualityFlag] = json.loads(dataset.attrs.get("quality", "[]"))
     return flags
 
 
 def with_flags(dataset: xr.Dataset, flags: Iterable[QualityFlag]) -> xr.Dataset:
-    """``dataset`` (changed in place) with ``flags`` added to those that it carries."""
+    """``dataset`` (any dims, changed in place) with ``flags`` added to those that it carries."""
     dataset.attrs["quality"] = json.dumps([*flags_of(dataset), *flags], ensure_ascii=False)
     return dataset
 
 
 def channel_coords(dataset: xr.Dataset) -> dict[str, xr.Variable]:
-    """Coordinates of ``dataset`` that say what each channel is: name, unit, quantity and, where known, direction."""
+    """Coordinates (channel,) of ``dataset`` that say what each channel is: name, unit, quantity, direction if known."""
     names = ("channel", "unit", "quantity", "direction")
     return {name: dataset.variables[name] for name in names if name in dataset.variables}
 
@@ -185,9 +185,10 @@ def schema_of(noun: str) -> Mapping[str, Any]:
 
 
 def check_dataset(dataset: xr.Dataset, noun: str) -> None:
-    """Refuse a dataset that lacks a variable, dimension or unit of its schema; reads metadata only.
+    """Refuse a ``dataset`` that lacks a variable, dimension, unit or attribute of its schema; reads metadata only.
 
-    Raises SchemaError naming the variable, what it has and what the schema of ``noun`` asks for.
+    ``noun`` is the stem of a file of ``data_schema/``, which states the dims. Raises SchemaError, which names the
+    variable, what it has and what the schema asks for.
     """
     variables = schema_of(noun)["properties"]["variables"]
     held = dataset.variables  # not dataset[name], which gathers coordinates at fifty times the cost

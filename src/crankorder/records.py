@@ -37,7 +37,7 @@ def known(interval: Interval | None) -> Ends | None:
 
 
 def finite(number: float) -> float | None:
-    """``number`` where it is finite, else None."""
+    """``number``, in its unit, where it is finite, else None."""
     return float(number) if isfinite(number) else None
 
 

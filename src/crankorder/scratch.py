@@ -36,7 +36,7 @@ def blocks(n_samples: int, *, size: int = BLOCK_SAMPLES) -> Iterator[slice]:
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike, *, on_disk: bool) -> NDArray[Any]:
-    """An array of ``shape`` and ``dtype``, to be filled, in memory or ``on_disk``.
+    """An array of ``shape``, such as (channels, samples), and ``dtype``, to be filled, in memory or ``on_disk``.
 
     The file of the latter has no name: it is gone when the array is, however the process ends. Its whole size is
     claimed at once, so that a full disk is told here and not when a page is written.
@@ -59,12 +59,15 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike, *, on_disk: bool) -> NDArray
 
 
 def empty_like(other: NDArray[Any], shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """An array of ``shape`` and ``dtype`` that lies where ``other`` lies: in memory or on disk."""
+    """An array of ``shape`` and ``dtype`` that lies where ``other`` (any shape) lies: in memory or on disk.
+
+    Raises EnvironmentFailure where the disk has no room for it.
+    """
     return empty(shape, dtype, on_disk=is_on_disk(other))
 
 
 def is_on_disk(array: NDArray[Any]) -> bool:
-    """Whether ``array`` is, or is a view of, one that was laid on disk."""
+    """Whether ``array`` (any shape) is an array laid on disk, or a view of one."""
     owner: Any = array
     while isinstance(owner, np.ndarray):
         owner = owner.base

@@ -193,7 +193,7 @@ def tracks_of_recording(
 ) -> RecordingTracks:
     """Orders followed through ``band`` by ``shaft``: those asked for and, in sweeps, those of ``frames``.
 
-    ``settings``: of orders, and of identify for what stands out.
+    The ``settings`` of orders count, and those of identify for what stands out.
     """
     from crankorder.identify.lines.order_lines import swept_orders  # with much that maps alone need not wait for
 
@@ -225,9 +225,9 @@ def envelope_of_recording(
 
 @stage
 def levels_of_recording(recording: Recording, shaft: ShaftAngle, settings: Settings) -> RecordingLevels:
-    """Overall level of ``recording`` and what lies above the band that its orders by ``shaft`` and its map show.
+    """Overall level of ``recording``, and its part above the band that its orders by ``shaft`` and its map show.
 
-    ``settings``: of orders and campbell, which say where that band ends.
+    The ``settings`` of orders and campbell say where that band ends.
     """
     return RecordingLevels(recording_levels(recording, shaft, orders=settings.orders, campbell=settings.campbell))
 
@@ -256,10 +256,10 @@ def doubts(
     strict: Strict,
     settings: Settings,
 ) -> Doubts:
-    """What recordings beside each other tell to doubt and leave out, by ``shafts``, ``levels`` and frames as ``shown``.
+    """Doubts from comparing recordings by ``shafts``, ``levels`` and frames as ``shown``.
 
-    ``told``: the flags of each recording by name; ``strict`` leaves out "suspect" ones too. ``settings`` of ingest.
-    What the stages below gather of the recordings is without what is left out.
+    ``told`` has the flags of each recording by name; ``strict`` leaves out "suspect" ones too; ``settings`` of ingest
+    count. The stages below gather recordings without what is left out.
     """
     return doubts_of(shafts, levels, shown, told, strict=strict, settings=settings.ingest)
 
@@ -413,7 +413,10 @@ FRAMES_OF: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """What a test gives to its report: datasets by result name and the ``shaft``; findings, empty where none asked."""
+    """What a test gives to its report: datasets by result name, ``shaft`` among them, and findings.
+
+    Dims are those of ``data_schema/``; findings are empty where none are asked for.
+    """
 
     datasets: dict[str, xr.Dataset]
     findings: Findings
@@ -445,7 +448,10 @@ _shafts: dict[int, tuple[Any, ShaftAngle]] = {}
 
 
 def analyse_shaft(recording: xr.Dataset, settings: Settings) -> ShaftAngle:
-    """Crank angle and speed of the ``recording`` alone, with ``settings``: worked out once for all of its maps."""
+    """Crank angle [rev] and speed [rpm], each (time,), of the Recording ``recording``: computed once for all its maps.
+
+    ``settings`` are those of all stages. Raises InputError where the encoder cannot be decoded.
+    """
     attrs, held, orders = recording.attrs, recording.variables, settings.orders
     told = [held[name].values.tobytes() for name in held if name != "signal"]
     key = (repr(attrs), held["signal"].shape, told, settings.shaft, orders.max_order, orders.revs_per_frame)
@@ -467,8 +473,9 @@ def analyse_recording(
 ) -> RecordingResult:
     """Shaft angle and frames of the recording in ``source``, a file or a Recording, with ``settings``.
 
-    ``manifest`` describes it; ``engine``: of the test, whose bearings are looked for where the manifest
-    names none. Raises InputError, naming the file, where the recording cannot be used.
+    Their dims are those of ``data_schema/``. ``manifest`` describes the recording; ``engine`` is that of the test,
+    whose bearings are looked for where the manifest names none. Raises InputError, which names the file, where the
+    recording cannot be used.
     """
     frames = frames_wanted(settings)
     bearings = manifest.bearings or (engine.bearings if engine is not None else ())
@@ -481,9 +488,9 @@ def analyse_recording(
 
 
 def compare_recordings(recordings: list[RecordingResult], *, strict: bool, settings: Settings) -> Doubts:
-    """Doubts about the ``recordings`` of a test beside each other; ``strict`` leaves out "suspect" ones too.
+    """Doubts about the ``recordings`` of a test from comparing them; ``strict`` leaves out "suspect" ones too.
 
-    ``settings`` of all stages.
+    ``settings`` are those of all stages.
     """
     flags = {recording.name: recording.flags for recording in recordings}
     given = {**_gathered(recordings), RecordingFlags: flags, Strict: strict, Settings: settings}
@@ -496,8 +503,8 @@ def analyse_test(
 ) -> CampaignResult:
     """The results of the test named ``test`` that its ``settings`` ask for, from those of its ``recordings``.
 
-    What the ``doubts`` leave out takes no part. ``sources`` says what the machine is made of; ``settings`` are those
-    of all stages.
+    Recordings and channels that ``doubts`` leave out take no part. ``sources`` says what the machine is made of;
+    ``settings`` are those of all stages.
     """
     kept = [recording.doubted(doubts) for recording in recordings if recording.name not in doubts.left_out]
     results = settings.report.results

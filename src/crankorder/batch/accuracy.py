@@ -89,9 +89,9 @@ class TwinAccuracy:
 def publish_accuracy(out: Path, *, on: Path | None = None, draws: int = 1) -> tuple[list[Path], str]:
     """Paths of ``accuracy.json`` and ``accuracy.txt`` written into ``out``, and the text.
 
-    Without ``on`` the speed against error of the order transform on this machine; with it that of a twin of the test
-    whose results are there, drawn ``draws`` times. Raises RequestError where ``on`` holds no results of one test with
-    known speeds or ``out`` lies among results.
+    Without ``on`` they tell the speed against error of the order transform on this machine; with it the accuracy on
+    twins of the test whose results are in ``on``, drawn ``draws`` times. Raises RequestError where ``on`` holds no
+    results of one test with known speeds, or where ``out`` lies among results.
     """
     refuse_results(out, [] if on is None else result_folders(on))
     measured: dict[str, object]
@@ -108,7 +108,7 @@ def publish_accuracy(out: Path, *, on: Path | None = None, draws: int = 1) -> tu
 
 
 def speed_against_error() -> Iterator[Timed]:
-    """Order maps of one recording at each tolerance, timed, against the amplitudes and phases that were put in."""
+    """Order maps of one recording at each tolerance, timed, compared with the true amplitudes and phases."""
     phases = np.random.default_rng(1).uniform(-np.pi, np.pi, (3, len(LINES)))
     seconds = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
     signals = [
@@ -150,7 +150,7 @@ def _times(turns: Floats) -> Floats:
 
 
 def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
-    """How well the analysis of the results in ``result``, a test's folder, does on ``draws`` twins of it.
+    """Accuracy of the analysis on ``draws`` twins of the test whose results are in the folder ``result``.
 
     Raises RequestError where it holds no results of one test that has orders, a Campbell map and speeds over time.
     """
@@ -351,10 +351,11 @@ CLEARANCE_ORDERS = 0.3
 
 @dataclass(frozen=True)
 class Twin:
-    """What a twin is made of: results by group, how its test was recorded and analysed, and what its manifest states.
+    """What a twin is made of: results of its test, how this was recorded and analysed, and what its manifest states.
 
-    ``pulse_step_s`` is the grid that the pulse times lie on, 0 where they are exact; without pulses the mean speed is
-    all that is told of the shaft.
+    ``tracks`` (channel, order, speed), ``campbell`` (channel, speed, frequency), ``order_map`` (channel, speed, order)
+    and ``shaft`` (recording, knot) are groups of the results. ``pulse_step_s`` is the grid of the pulse times, 0 where
+    they are exact; without pulses only the mean speed of the shaft is told.
     """
 
     tracks: xr.Dataset
@@ -372,7 +373,10 @@ class Twin:
 
 @dataclass(frozen=True)
 class TwinRecording:
-    """A recording of a twin: samples (channels, samples), pulse and mark times in s, its mean speed."""
+    """A recording of a twin: ``signals`` (channels, samples) and its mean speed [rpm].
+
+    ``pulse_times_s`` (pulses,) and ``mark_times_s`` (marks,) are in s.
+    """
 
     name: str
     signals: Floats
@@ -396,7 +400,10 @@ def probe_orders(twin: Twin) -> Floats:
 
 
 def probe_amplitudes(twin: Twin, rng: np.random.Generator, n_probes: int) -> Floats:
-    """Amplitudes (channels, ``n_probes``): ``LADDER`` dealt by ``rng``, times the standard error of ``twin``."""
+    """Amplitudes (channels, probes) of ``n_probes`` probes, in the units of the channels.
+
+    They are the steps of ``LADDER``, drawn by ``rng``, times the standard error of the order map of ``twin``.
+    """
     error = np.nanmedian(twin.order_map["standard_error"].values, axis=(1, 2))
     rungs: Floats = rng.permutation(LADDER)[:n_probes]
     return np.outer(error, rungs)
@@ -405,11 +412,9 @@ def probe_amplitudes(twin: Twin, rng: np.random.Generator, n_probes: int) -> Flo
 def twin_recordings(
     twin: Twin, probes: Floats, amplitudes: Floats, rng: np.random.Generator
 ) -> Iterator[TwinRecording]:
-    """The recordings of a ``twin``, with ``probes`` (orders) of constant ``amplitudes`` (channels, probes).
+    """The recordings of a ``twin``, with ``probes`` (probes,), orders, of constant ``amplitudes`` (channels, probes).
 
-    Noise and phases that are not known come from ``rng``.
-
-    Raises RequestError where the speeds of the test are not known.
+    Noise and unknown phases come from ``rng``. Raises RequestError where the speeds of the test are not known.
     """
     for number, name in enumerate(twin.shaft["recording"].values.astype(str)):
         row = twin.shaft.isel(recording=number)

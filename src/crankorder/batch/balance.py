@@ -46,10 +46,14 @@ class Balance:
 def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ()) -> Balance:
     """Balance of an engine file: counterweights and shafts, or the hinges of a file of that kind.
 
-    ``engine``: a shipped file's name or the path of a TOML file. ``max_order``: highest order, ≥ 4. ``speeds_rpm``:
-    crank speeds, > 0; the file's where empty.
-    Raises RequestError where there is no such file, or a mass or length of it is so large that a number overflows,
-    ManyErrors with every fault of its content.
+    Parameters
+    ----------
+    engine : name of a shipped file, or path of a TOML file
+    max_order : highest order, 4 or more
+    speeds_rpm : crank speeds, rpm, above 0; those of the file where empty
+
+    Raises RequestError where there is no such file, or where a mass or length in it is so large that a number
+    overflows, ManyErrors with every fault of its content.
     """
     speeds = tuple(speeds_rpm) or None
     table, source = toml_table(engine, "engines")
@@ -88,8 +92,8 @@ def table_text(balance: Balance) -> str:
 def publish_balance(balance: Balance, out: Path, *, report: Mapping[str, object] | None = None) -> list[Path]:
     """Paths of the files written into ``out``: balance.json, pictures, balance.nc; whole or not at all.
 
-    ``balance`` as :func:`balance_of` makes it; ``report``: settings of the report by key, before the defaults. Raises
-    EnvironmentFailure where the folder cannot be written.
+    ``balance`` is that of :func:`balance_of`, ``report`` has settings of the report by key, in place of the defaults.
+    Raises EnvironmentFailure where the folder cannot be written.
     """
     from crankorder.plot.painter import picture_bytes
     from crankorder.report.netcdf import results_bytes

@@ -59,7 +59,7 @@ class ClusterJob:
 
 @dataclass(frozen=True)
 class ClusterTask:
-    """One recording: its file, the name to blame it by, the key to keep it by, and the hash of each of its files."""
+    """One recording: its file, its name in errors, the key of its result, and the hash of each of its files."""
 
     source: Path
     name: str
@@ -70,8 +70,8 @@ class ClusterTask:
 def analyse_there(packed_job: bytes, task: ClusterTask) -> bytes | CrankorderError | None:
     """Analyse the recording of ``task`` on a worker, as ``packed_job``, a pickled ClusterJob, says.
 
-    None where the result was put into the shared store, its bytes where the store is not shared; what is wrong with
-    the recording or the worker is returned, not raised.
+    Returns None where the result was put into the shared store, its bytes where the store is not shared. A fault of the
+    recording (such as InputError) or of the worker (EnvironmentFailure) is returned, not raised.
     """
     job: ClusterJob = pickle.loads(packed_job)
     try:
@@ -125,13 +125,20 @@ def analyse_on_cluster(
     store: FrameStore,
     progress: Callable[[int], object] = lambda done: None,
 ) -> dict[str, CrankorderError]:
-    """Have a Dask cluster analyse ``tasks`` into ``store``; errors of those that end their workers, by key.
+    """Have a Dask cluster analyse ``tasks`` into ``store``; returns errors of those that end their workers, by key.
 
-    What else is wrong with a recording is told where it is analysed here, for nothing of it is kept.
+    Other faults of a recording are told when it is analysed locally, as no result of it is kept. A recording during
+    whose task workers ended is tried once more, alone, and is at fault if they end again.
 
-    ``scheduler``: its address; ``job``: manifest, settings and what is known of the shaft; ``made_by``: hash of the
-    program and versions, which all workers must have; ``progress`` is told how many are done. A recording during whose
-    task workers ended is tried once more, alone, and blamed if they end again.
+    Parameters
+    ----------
+    scheduler : address of the scheduler
+    tasks : recordings to analyse
+    job : manifest, settings, and the engine or None
+    made_by : hash of the program and versions of libraries, which all workers must have
+    store : store for the results
+    progress : called with the number of recordings that are done
+
     Raises RequestError without the library, EnvironmentFailure where the cluster cannot be used or has no workers left.
     """
     folder = store.folder

@@ -30,7 +30,11 @@ MAPS = ("order_map", "envelope_map", "shaft")
 
 
 class ComparedResults(NamedTuple):
-    """The ``folders`` of the tests that were compared, the ``document`` of their comparison, and its ``datasets``."""
+    """The ``folders`` of the tests that were compared, the ``document`` of their comparison, and its ``datasets``.
+
+    These go by name: ``order_change`` (line, speed), a line being an order in a channel, and others of
+    ``data_schema/``.
+    """
 
     folders: tuple[Path, ...]
     document: Comparison
@@ -41,9 +45,8 @@ def compare_results(base: Path, new: Sequence[Path], *, q: float) -> ComparedRes
     """Comparison of the results in ``base`` with the last of ``new``; of several, in time order, the trend over all.
 
     Each is a test's result folder, or the ``--out`` of a run of one test. ``q`` is the false-discovery rate of all
-    claims.
-    Raises RequestError where a folder is not one test's results, InputError where results are unfinished or damaged, or
-    hold nothing that can be compared.
+    claims, 0 to 1. Raises RequestError where a folder is not one test's results or is named twice, InputError where
+    results are unfinished or damaged, or hold nothing that can be compared.
     """
     folders = tuple(_test_folder(folder) for folder in (base, *new))
     # a test beside itself could not differ, and a trend would count one run as two
@@ -105,8 +108,8 @@ def publish_comparison(
 ) -> list[Path]:
     """Paths of the files written into ``out``: comparison.json, comparison.nc, pictures, page; whole or not at all.
 
-    ``results`` as :func:`compare_results` makes them; ``report``: settings of the report by key, before the defaults.
-    Raises RequestError where ``out`` holds results of a run, EnvironmentFailure where it cannot be written.
+    ``results`` are those of :func:`compare_results`, ``report`` has settings of the report by key, in place of the
+    defaults. Raises RequestError where ``out`` holds results of a run, EnvironmentFailure where it cannot be written.
     """
     refuse_results(out, results.folders)
     files = _files(results, load_settings(asked={"report": report or {}}).report)
@@ -116,9 +119,9 @@ def publish_comparison(
 
 
 def refuse_results(out: Path, folders: Sequence[Path]) -> None:
-    """Refuse an ``out`` that is one of results, of ``folders``, or inside: results are never replaced by others.
+    """Refuse a folder ``out`` that holds results, is one of ``folders`` or lies inside one.
 
-    Raises RequestError then.
+    Raises RequestError then: results are never replaced by others.
     """
     where = out.resolve()
     if out.exists() and not out.is_dir():

@@ -66,11 +66,11 @@ def run_plans(
     tell: Callable[[Outcome], None],
     wait: Callable[[str], object] = lambda text: None,
 ) -> list[Outcome]:
-    """What became of each of ``plans``, run with ``options``, whose results and index are published in ``out``.
+    """Outcome of each of ``plans``, run with ``options``; results and index are published in ``out``.
 
-    ``reporting`` hashes their recordings and writes their files; ``watched`` gives, for the name of a test, what is
-    told of its progress while it runs; ``tell`` is called with each outcome, ``wait`` with a sentence where another
-    process that writes the same results is waited for.
+    ``reporting`` hashes their recordings and writes their files; ``watched`` gives, for the name of a test, the context
+    in which its progress is shown; ``tell`` is called with each outcome, ``wait`` with a sentence while another process
+    writes the same results.
     """
     outcomes = []
     for plan in plans:
@@ -101,8 +101,8 @@ def run_test(
 ) -> Outcome:
     """Analyse the test of ``plan`` with ``options`` and publish its results; no fault of the input is raised.
 
-    ``reporting`` has the hashes of its recordings and writes its files; ``progress`` is told of every recording that is
-    done.
+    ``reporting`` has the hashes of its recordings and writes its files; ``progress`` is called for every recording that
+    is done.
     """
     run = _TestRun(plan, options, reporting, progress)
     outcome = run.outcome
@@ -312,11 +312,19 @@ def results_of_test(
     flags: Sequence[QualityFlag] = (),
     name_of: Callable[[Path], str] = Path.as_posix,
 ) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError]]:
-    """Datasets by group and findings of the ``test`` of that name, and faults of recordings that the maps leave out.
+    """Datasets by group and findings of a test, and faults of recordings that the maps leave out.
 
-    ``results`` of its recordings, of which ``doubts`` leave some out; ``sources``: what the machine is made of;
-    ``settings`` of all stages; ``flags`` and ``faults`` of the test so far, which the findings tell too; ``name_of``:
-    the recording of a file.
+    The datasets have the dims of ``data_schema/``.
+
+    Parameters
+    ----------
+    results : those of its recordings
+    doubts : recordings and channels to leave out
+    test : name of the test
+    sources : what the machine is made of
+    settings : those of all stages
+    faults, flags : of the test so far, which the findings tell too
+    name_of : gives the name of the recording in a file
     """
     made = analyse_test(results, doubts, test=test, sources=sources, settings=settings)
     left_out: list[CrankorderError] = [
@@ -426,7 +434,7 @@ def engine_of_test(plan: CampaignPlan) -> Engine | None:
 
 
 def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) -> MachineModel:
-    """What ``manifest`` and ``engine`` say of the machine; less where ``settings`` ask for no findings that need it."""
+    """MachineModel from ``manifest`` and ``engine``; without the engine's where ``settings`` ask for no findings."""
     orders: tuple[float, ...] = ()
     bearings = manifest.bearings
     if engine is not None and "findings" in settings.report.results:
@@ -489,9 +497,10 @@ def analysed(
 ) -> tuple[dict[str, xr.Dataset], Findings, list[CrankorderError | str]]:
     """Groups and findings of ``recordings``, as a run makes them of files, and what was left out and why.
 
-    ``settings`` of all stages; ``tables`` of the manifest that say what the machine is made of; ``engine``: its name or
-    path; ``test``: the name of the test; ``strict`` leaves out what is "suspect" too.
-    Raises RequestError or ManyErrors where the request is wrong, InputError where no recording can be used.
+    The groups are datasets by name with the dims of ``data_schema/``. ``settings`` are those of all stages, ``tables``
+    those of the manifest that say what the machine is made of; ``engine`` is its name or path, ``test`` the name of the
+    test; ``strict`` also leaves out recordings with "suspect" flags. Raises RequestError or ManyErrors where the
+    request is wrong, InputError where no recording can be used.
     """
     given = _each(recordings)
     # manifest of the recordings given with the tables that say what the machine is made of

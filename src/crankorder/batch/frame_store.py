@@ -58,7 +58,7 @@ class FrameStore:
         return self.folder / f"{key}.frames"
 
     def load(self, key: str) -> PackedResult | None:
-        """What was kept under ``key``; None where nothing is, or where it is damaged."""
+        """Result that was kept under ``key``; None where there is none, or where it is damaged."""
         try:
             PackedResult.checked(np.fromfile(self.path(key), dtype=np.uint8))
             return PackedResult(self.path(key))
@@ -66,7 +66,7 @@ class FrameStore:
             return None
 
     def save(self, key: str, result: PackedResult) -> PackedResult:
-        """``result`` as it is kept under ``key``; where the disk is nearly full or cannot be written, as it is."""
+        """Keep ``result`` under ``key`` and return the kept one; ``result`` itself where the disk does not allow it."""
         with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
             if shutil.disk_usage(self.folder).free < LEAST_FREE_BYTES:
@@ -101,7 +101,7 @@ def clean(out: Path) -> tuple[int, int]:
 
 
 class PackedResult(RecordingResult):
-    """A recording's result as bytes in memory or in a file; its shaft and frames are made when they are asked for.
+    """A recording's result as bytes (bytes,) in memory or in a file; its shaft and frames are made on demand.
 
     Thousands of these whose bytes stand in files cost little memory.
     """
@@ -124,9 +124,9 @@ class PackedResult(RecordingResult):
 
     @classmethod
     def of(cls, result: RecordingResult) -> PackedResult:
-        """``result``, packed: magic, digest, index, then header and arrays of each dataset. TypeError where it cannot.
+        """``result``, packed: magic, digest, index, then header and arrays of each dataset.
 
-        The digest is that of all that follows.
+        The digest is that of all bytes behind it. Raises TypeError where an array cannot be packed.
         """
         parts, index = list[bytes | memoryview](), dict[str, list[int]]()
         size = 0
@@ -153,7 +153,7 @@ class PackedResult(RecordingResult):
 
     @classmethod
     def checked(cls, data: NDArray[np.uint8]) -> PackedResult:
-        """Result that ``data`` (bytes,) holds. ValueError where it is not that, to the last byte."""
+        """Result that ``data`` (bytes,) holds; raises ValueError where a single byte differs from what was packed."""
         begin = len(_MAGIC) + _DIGEST_BYTES
         digest = hashlib.sha256(data[begin:].data).digest()
         if data[: len(_MAGIC)].tobytes() != _MAGIC or digest != data[len(_MAGIC) : begin].tobytes():
@@ -165,7 +165,7 @@ class PackedResult(RecordingResult):
         return PackedResult, (self._source,)
 
     def bytes_of(self, begin: int, size: int | None) -> NDArray[np.uint8]:
-        """Bytes (``size``,) from ``begin`` on, to the end without a ``size``; those of a file are the caller's own."""
+        """Bytes (size,) from ``begin`` on, to the end where ``size`` is None; those of a file are the caller's own."""
         if not isinstance(self._source, Path):
             return self._source[begin : None if size is None else begin + size]
         if size is not None and size > IN_MEMORY_BYTES:
@@ -179,7 +179,7 @@ class PackedResult(RecordingResult):
 
     @cached_property
     def frames(self) -> Mapping[Any, xr.Dataset]:
-        """The frames by noun; each a copy of the caller's own, whose values must not be changed."""
+        """The frames (dims of ``data_schema/``) by noun, each a copy of the caller's own, whose values must stay."""
         return _PackedFrames(self)
 
     @property

@@ -27,9 +27,9 @@ LOOK_BYTES = 64_000_000
 
 @dataclass(frozen=True)
 class Look:
-    """What a recording showed: a ``line`` on its length, rate, speed and pulses, and ``remarks`` on what is doubtful.
+    """Result for one recording: a ``line`` on its length, rate, speed and pulses, and ``remarks`` on doubts.
 
-    ``share`` of its samples was read.
+    ``share``, 0 to 1, of its samples was read.
     """
 
     line: str
@@ -39,7 +39,7 @@ class Look:
 
 @dataclass
 class Looked:
-    """What was found in a folder: ``faults``, which keep a recording or all of them from being used, and ``looks``."""
+    """Result for a folder: ``faults``, each of which excludes one recording or all of them, and ``looks``."""
 
     faults: list[CrankorderError]
     looks: list[Look] = field(default_factory=list)
@@ -51,14 +51,14 @@ class Looked:
 
 
 def percent(share: float) -> str:
-    """``share`` as a text: "100 %" only where it is all."""
+    """``share``, 0 to 1, as a text: "100 %" only where it is 1."""
     return "100 %" if share == 1.0 else f"{min(100 * share, 99.9):.2g} %"
 
 
 def look_at(folder: Path, manifest_path: Path | None, *, jobs: int) -> Looked:
-    """What can be known of the test in ``folder`` without running it, ``jobs`` recordings at a time.
+    """Check of the test in ``folder`` without a run, ``jobs`` recordings at a time.
 
-    ``manifest_path`` names a manifest that lives elsewhere.
+    ``manifest_path`` names a manifest that lies elsewhere.
     """
     settings = load_settings()
     looked = Looked(check_folder(folder, manifest_path, settings=settings.ingest))
@@ -88,7 +88,7 @@ def look_at(folder: Path, manifest_path: Path | None, *, jobs: int) -> Looked:
 
 
 def look_at_recording(path: Path, manifest: Manifest, settings: Settings) -> Look:
-    """What a bounded part of the recording at ``path`` shows, read and decoded as ``manifest`` and ``settings`` say.
+    """Look at a bounded part of the recording at ``path``, read and decoded by ``manifest`` and ``settings``.
 
     Raises CrankorderError where it cannot be used.
     """

@@ -58,9 +58,9 @@ class CampaignPlan:
         return path.name if path.is_absolute() else path.as_posix()
 
     def without_altered(self, sha256: Mapping[Path, str | None]) -> tuple[CampaignPlan, list[CrankorderError]]:
-        """This plan without recordings of which a list of checksums says that they are others, and their faults.
+        """This plan without recordings that differ from a list of checksums, and the faults of these.
 
-        ``sha256``: of its files, None where one could not be read.
+        ``sha256`` are the hashes of its files, None where one could not be read.
         """
         faults = checksum_faults(self.folder, self.files, self.manifest.recordings.files, sha256_of=sha256.get)
         at_fault = {Path(fault.file) for fault in faults}
@@ -75,7 +75,7 @@ class CampaignPlan:
 
 @dataclass
 class Outcome:
-    """What became of one test of a run."""
+    """Outcome of one test of a run."""
 
     plan: CampaignPlan
     status: str = "failed"
@@ -103,7 +103,7 @@ class Outcome:
 
     @property
     def record(self) -> dict[str, Json]:
-        """What an index says of it: name, status, folder, headline and failed recordings."""
+        """Its record in an index: name, status, folder, headline and failed recordings."""
         from crankorder.report.sentences.story import headline
 
         folder = self.plan.out.name
@@ -145,11 +145,11 @@ def share_of(plan: CampaignPlan, shard: str) -> CampaignPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """How planned tests are run: ``jobs`` recordings at a time, each for ``timeout_s`` at most.
+    """How planned tests are run: ``jobs`` recordings at a time, each for ``timeout_s`` (seconds) at most.
 
-    ``fresh`` recomputes even what is kept; ``strict`` turns "suspect" flags into faults; of a shard (``keep_only``)
-    what its recordings give is kept, and no results are made; the Dask cluster of ``scheduler``, an address, analyses
-    recordings.
+    ``fresh`` recomputes kept results too; ``strict`` turns "suspect" flags into faults; with ``keep_only`` (a shard)
+    the results of single recordings are kept, and none of the test are made. The Dask cluster at the address
+    ``scheduler`` analyses recordings where given.
     """
 
     jobs: int
@@ -171,14 +171,21 @@ def plan_tests(
     name: str | None = None,
     report: Mapping[str, object] | None = None,
 ) -> Planned:
-    """Plans of the tests in ``folders``, whose results go below ``out``, and what is wrong with other folders.
+    """Plans of the tests in ``folders``, whose results go below ``out``, and the faults of other folders.
 
-    ``manifest`` is a manifest that lives elsewhere than the data; ``recipe`` (name or path) goes before the recipe that
-    the manifest names; ``tolerance`` (relative amplitude error), ``max_memory_mb`` (megabytes of samples of one
-    recording in memory) and ``report`` (settings of the report by key) go before those of the recipe; ``name`` of the
-    one test before that of its manifest.
-    Raises ManyErrors with the faults of all folders where none can be run, or results would lie where they must not;
-    nothing has been written then.
+    Parameters
+    ----------
+    folders : folders of the tests
+    out : folder below which results go
+    manifest : a manifest that lies elsewhere than the data
+    recipe : name or path, in place of the recipe that the manifest names
+    tolerance : relative amplitude error, in place of that of the recipe
+    max_memory_mb : megabytes of samples of one recording in memory, in place of those of the recipe
+    name : name of the test, where there is only one, in place of that in its manifest
+    report : settings of the report by key, in place of those of the recipe
+
+    Raises RequestError where several tests are given one name. Where no folder can be run, or results would lie where
+    they must not, raises the fault, or ManyErrors with those of all folders; nothing has been written then.
     """
     asked = {
         "orders": {} if tolerance is None else {"tolerance": tolerance},
@@ -271,10 +278,10 @@ def _relative(folder: Path, out: Path) -> str:
 
 
 def settings_for(stated: Manifest, settings: Settings) -> Settings:
-    """What of ``settings`` can be asked of a test as its manifest ``stated`` it.
+    """``settings`` adapted to a test by its manifest ``stated``.
 
-    The highest order holds its gears and its motor: what they excite is to be judged. Of a shaft alone there is no
-    vibration to ask for.
+    The highest order is raised to hold the lines of its gears and motor. A recording of the shaft alone has no
+    vibration, so that nothing is asked of it.
     """
     if stated.of_shaft_alone:
         return settings.model_copy(update={"report": settings.report.model_copy(update={"results": ()})})
@@ -306,9 +313,9 @@ def _plain_name(name: str) -> str:
 
 
 def index_document(records: Sequence[Mapping[str, Json]]) -> dict[str, Json]:
-    """What ``batch.json`` and ``--json`` say of tests: name, status, folder, headline and failed recordings of each.
+    """Document of ``batch.json`` and ``--json``: name, status, folder, headline and failed recordings of each test.
 
-    ``records``: of their outcomes.
+    ``records`` are those of the outcomes.
     """
     return {"schema_version": result_folder.BATCH_VERSION, "tests": records}
 
@@ -322,9 +329,9 @@ def publish_index(
 ) -> None:
     """Write ``batch.json`` and ``index.html`` of all tests in ``out``: those of ``outcomes`` and those of other runs.
 
-    What is finished is told by the tests' own folders; a test that failed stays named until it is done. ``page_of``
-    makes the page of the records; ``tell`` is told where another process is waited for.
-    Raises EnvironmentFailure where it cannot be written.
+    Finished tests are found by their own folders; a test that failed stays named until it is done. ``page_of`` makes
+    the page of the records; ``tell`` is called with a sentence while another process is waited for. Raises
+    EnvironmentFailure where the files cannot be written.
     """
     with locked(out / result_folder.BATCH, tell=tell):
         try:

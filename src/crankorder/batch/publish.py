@@ -119,9 +119,10 @@ class ReportingProcess:
         provenance: Mapping[str, object],
         settings: ReportSettings,
     ) -> dict[str, bytes]:
-        """All files of a test by name, from its ``groups``, ``findings``, ``provenance`` and ``settings``.
+        """Bytes of all files of a test by name, from its ``groups``, ``findings``, ``provenance`` and ``settings``.
 
-        See :func:`files_of_test` of this module. Raises EnvironmentFailure where the process ends over it.
+        The datasets ``groups`` (dims of ``data_schema/``) and the rest are those of :func:`files_of_test` of this
+        module. Raises EnvironmentFailure where the process ends meanwhile.
         """
         files: dict[str, bytes] = self._answer_to("write", groups, findings, provenance, settings)
         return files
@@ -137,7 +138,7 @@ class ReportingProcess:
 
 
 def prepare(*, draws: bool) -> None:
-    """Load what writes and, where it ``draws``, its fonts too: worth doing before there is anything to show."""
+    """Load the libraries that write results, and where it ``draws`` those that draw, ahead of time."""
     from crankorder.report.page import index_page
 
     if draws:
@@ -157,9 +158,9 @@ def files_of_test(
 ) -> dict[str, bytes]:
     """All files of a test by name: results.nc, findings.json, pictures, report.html, run.json.
 
-    ``groups`` are the datasets by group name, ``findings`` what they say, ``provenance`` what ``run.json`` states;
-    ``settings`` shape pictures and page. The data and each picture are made ``jobs`` at a time, in processes where that
-    is several; the page, which holds the pictures, comes last.
+    ``groups`` are the datasets (dims of ``data_schema/``) by group name, ``findings`` what they say, ``provenance``
+    what ``run.json`` states; ``settings`` shape pictures and page. The data and each picture are made ``jobs`` at a
+    time, in processes where that is more than one; the page, which holds the pictures, comes last.
     """
     from crankorder.batch.plan import folder_name
     from crankorder.report.netcdf import as_stored, findings_datasets, results_bytes, root_attrs
@@ -193,9 +194,9 @@ def files_of_test(
 def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
     """Path of the page that was made again from ``result``, a test's result folder or its ``results.nc``.
 
-    Data and findings stay byte for byte what they were; pictures and page are drawn by today's program with the
-    settings of the run, before which those of ``report`` go, by key.
-    Raises InputError where the folder holds no finished results.
+    Data and findings stay the same, byte for byte; pictures and page are drawn by the present program with the settings
+    of the run, which those of ``report``, by key, replace. Raises InputError where the folder holds no finished results
+    that this version reads, ValidationError where ``report`` is no such setting.
     """
     from crankorder.report.netcdf import read_results
 
@@ -232,8 +233,8 @@ FORMATS = ("uff58", "csv", "parquet")
 def export_results(result: Path, out: Path, *, to: str, binary: bool = False) -> list[Path]:
     """Paths of the files written into ``out``, a folder ``<test>-<format>`` for each test of ``result``.
 
-    ``result``: a ``results.nc``, the folder of a test, or the whole ``--out`` of a run. ``to``: "uff58" makes
-    ``results.uff`` (``binary``: 58b), "csv" and "parquet" a file for each table (Parquet also of the maps).
+    ``result`` is a ``results.nc``, the folder of a test, or the whole ``--out`` of a run. With ``to`` "uff58" it is
+    ``results.uff`` (58b where ``binary``), with "csv" and "parquet" a file for each table (Parquet also of the maps).
     Raises RequestError where there are no results, where ``to`` is none of these or ``out`` holds results of a run;
     InputError where results are damaged.
     """

@@ -141,11 +141,10 @@ def publish(
 ) -> None:
     """Make ``contents`` (name → bytes) the results in ``folder``, with a marker that holds their hashes and ``key``.
 
-    ``owner``: the input that they were made of. ``record``: what an index says of them. ``besides``: files that are no
-    results and may change, such as timings. Whoever reads ``folder`` finds the old results or the new ones, or none for
-    the moment between two renames. Files of others stay, where there are any.
-    Raises EnvironmentFailure where the disk is full or the folder cannot be written: the old results stand then;
-    RequestError where a file of others has the name of a result.
+    ``owner`` is the input that they were made of, ``record`` their record in an index, ``besides`` are files that are
+    no results and may change, such as timings. A reader of ``folder`` finds the old results or the new ones, or none
+    for the moment between two renames. Foreign files stay. Raises EnvironmentFailure where the disk is full or the
+    folder cannot be written: the old results stand then; RequestError where a file of others has the name of a result.
     """
     marker = {
         "key": key,

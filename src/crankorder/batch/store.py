@@ -184,8 +184,8 @@ def flush_folder(folder: Path) -> None:
 def locked(place: Path, *, tell: Callable[[str], object] = lambda text: None) -> Iterator[None]:
     """Hold the lock of ``place``, a file or folder that need not exist, which others wait for.
 
-    The lock is a file beside it that says who holds it; the system lets go of it when its process ends, however that
-    comes. ``tell`` is told once where another process is waited for, and where this disk knows no locks.
+    The lock is a file beside it that says who holds it; the system releases it when its process ends in any way.
+    ``tell`` is called once with a sentence where another process is waited for, and where the disk has no locks.
     Raises EnvironmentFailure where the folder of ``place`` cannot be written.
     """
     path = place.with_name(f".{place.name}.lock")
@@ -238,7 +238,7 @@ def _locks(handle: int, path: Path, tell: Callable[[str], object]) -> bool:
 
 
 def place_of(path: Path) -> str:
-    """Name of what the lock at ``path`` belongs to, to be shown."""
+    """Name, for messages, of the file or folder that the lock at ``path`` belongs to."""
     return printable(path.name.removeprefix(".").removesuffix(".lock"))
 
 

@@ -20,7 +20,10 @@ NUMBERS = MethodNumbers("4-campbell-map.toml", "frames")
 
 
 def sample_rate_hz(recording: xr.Dataset) -> float:
-    """Samples per second of a ``recording``; NaN where it has no rate, or is by crank angle without a speed."""
+    """Samples per second of a ``recording`` (channel, time or crank_angle); NaN where it is not known.
+
+    One by crank angle has the rate of its constant speed, where that is stated.
+    """
     if recording.attrs["domain"] == "crank_angle":
         return float(recording.attrs["samples_per_rev"]) * float(recording.attrs.get("speed_rpm", math.nan)) / 60.0
     return float(recording.attrs.get("rate_hz", math.nan))
@@ -29,11 +32,11 @@ def sample_rate_hz(recording: xr.Dataset) -> float:
 def frame_speeds(
     band: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float
 ) -> tuple[Floats, Floats]:
-    """Mean speed and change of speed from begin to end [rpm] (frames,) of frames of ``band``.
+    """Mean speed (frames,) and its change from begin to end (frames,), both in rpm, of frames of ``band``.
 
-    They are of ``length`` samples at ``rate_hz`` and begin at samples ``starts`` (frames,). The mean is the revolutions
-    that the ``shaft`` made over the time they took; the change is twice the difference of the means of both halves,
-    which uneven running within a cycle does not reach.
+    ``band`` is the BandRecording, ``shaft`` its ShaftAngle. Frames have ``length`` samples at ``rate_hz`` and begin at
+    the samples ``starts`` (frames,). The mean is revolutions over time; the change is twice the difference of the means
+    of both halves, which uneven running within a cycle does not affect.
     """
     if band.attrs["domain"] == "crank_angle":
         return np.full(len(starts), float(band.attrs.get("speed_rpm", math.nan))), np.zeros(len(starts))
@@ -42,9 +45,10 @@ def frame_speeds(
 
 
 def piece_speeds(recording: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float) -> Floats:
-    """Mean speed [rpm] of the pieces of :func:`frame_speeds`; NaN where it is not known, or the shaft does not turn on.
+    """Mean speed [rpm] (pieces,) of pieces of a recording; NaN where it is not known, or the shaft does not turn on.
 
-    ``recording`` and its ``shaft``; ``starts`` (pieces,): first samples at ``rate_hz`` of the pieces of ``length``.
+    ``recording`` is a Recording, ``shaft`` its ShaftAngle; ``starts`` (pieces,) are the first samples, at ``rate_hz``,
+    of the pieces, each ``length`` samples long. The mean is that of :func:`frame_speeds`.
     """
     rpm = np.full(len(starts), np.nan)
     by_angle = recording.attrs["domain"] == "crank_angle"
@@ -65,11 +69,11 @@ def _speeds(shaft: xr.Dataset, begin_s: Floats, length_s: float) -> tuple[Floats
 
 
 def sweep_limit_s(band: xr.Dataset, shaft: xr.Dataset, length_s: float, *, enbw_bins: float, order: float) -> float:
-    """Length in s of a frame in which ``order`` sweeps just over the noise bandwidth; infinite at constant speed.
+    """Length in s of a frame in which ``order`` just sweeps over the noise bandwidth; infinite at constant speed.
 
     Longer frames would smear the line of ``order``, shorter ones would widen it: T = sqrt(B / s) with the noise
-    bandwidth B in bins (``enbw_bins``) and the sweep s of the order in Hz/s. The sweep is that of the ``shaft`` of
-    ``band`` over frames of ``length_s``, of which the tenth that sweeps most is left out.
+    bandwidth B in bins (``enbw_bins``) and the sweep s of the order in Hz/s. The sweep is that of the ShaftAngle
+    ``shaft`` (time) of the BandRecording ``band`` over frames of ``length_s``; the tenth that sweeps most is left out.
     """
     if band.attrs["domain"] == "crank_angle" or not length_s > 0.0:
         return math.inf
@@ -82,7 +86,11 @@ def sweep_limit_s(band: xr.Dataset, shaft: xr.Dataset, length_s: float, *, enbw_
 
 @dataclass(frozen=True)
 class FramePlan:
-    """Window, transform length and hop of the frames of a recording; ``spacing`` bins lie a window's bin apart."""
+    """Window, transform length and hop, in samples, of the frames of a recording.
+
+    ``spacing`` bins of the transform make one bin of the unpadded window; it is 0 where the whole record is one frame.
+    ``tone_weights`` are those of :attr:`~crankorder.fft.windows.Window.tone_weights`.
+    """
 
     window: Window
     n_fft: int
@@ -95,8 +103,8 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     """FrequencyFrames of one recording: power (channel, frame, frequency) and the speed of each frame.
 
     ``band`` is the BandRecording, ``shaft`` its ShaftAngle. A recording by crank angle is taken as one at constant
-    speed; without a speed it has no frequencies and gives no frame. One of what does not turn has frames of unknown
-    speed (NaN). A recording shorter than
+    speed; without a speed it has no frequencies and gives no frame. One of a structure that does not turn has frames of
+    unknown speed (NaN). A recording shorter than
     1 / ``settings.resolution_hz`` is padded with zeros; where the speed sweeps, frames are a whole number of times
     shorter and padded to the length that the resolution asks for. Frames that touch an unusable sample are NaN in
     that channel. Float32 signals give float32 power.
@@ -156,7 +164,9 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
 def frame_plan(
     band: xr.Dataset, shaft: xr.Dataset, *, n_samples: int, rate_hz: float, settings: CampbellSettings
 ) -> FramePlan:
-    """FramePlan for ``band`` with ``n_samples`` at ``rate_hz`` and the speeds of ``shaft``, as ``settings`` ask.
+    """FramePlan for the BandRecording ``band`` (channel, time or crank_angle) of ``n_samples`` at ``rate_hz``.
+
+    ``shaft`` is its ShaftAngle, ``settings`` are those of the Campbell map.
 
     Frames are as long as ``settings.resolution_hz`` asks for, or the whole record, or, where the order
     ``settings.sweep_order`` would sweep further than the noise bandwidth, a whole number of times shorter.

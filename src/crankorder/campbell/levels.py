@@ -55,7 +55,7 @@ NUMBERS = MethodNumbers("4-campbell-map.toml", "levels")
 
 @dataclass(frozen=True)
 class LevelBand:
-    """A band of frequency in which a level is told, and of which quantity; ``as measured``: that of the channel.
+    """A band of frequency [Hz] in which a level is told, and its quantity; "as measured" is that of the channel.
 
     Half of the power passes at either end of a broad band. ``without its ends`` the filter opens inside the band, so
     that nothing outside counts; ``with its ends`` it opens outside, so that all inside counts whole (of a sweep, at the
@@ -103,21 +103,21 @@ class _Pieces:
 
 
 def nominal_hz(middle_hz: float) -> float:
-    """Frequency by which a one-third octave about ``middle_hz`` is called: 31.5 for 31.62 Hz."""
+    """Nominal frequency [Hz] of the one-third octave about ``middle_hz``, above 0: 31.5 for 31.62 Hz."""
     tens = math.floor(math.log10(middle_hz) + 1e-6)
     return _NOMINAL[round(10.0 * (math.log10(middle_hz) - tens)) % 10] * 10.0**tens
 
 
 def third_octaves() -> tuple[LevelBand, ...]:
-    """The one-third octaves from 10 Hz to 20 kHz, of what was measured."""
+    """The one-third octaves from 10 Hz to 20 kHz, of the measured quantity."""
     half = HALF_THIRD_OCTAVE
     return tuple(LevelBand("as measured", hz / half, hz * half, "one-third octave") for hz in THIRD_OCTAVES_HZ)
 
 
 def limit_bands(quantity: str, low_hz: float, high_hz: float) -> tuple[LevelBand, ...]:
-    """The bands that a limit on ``quantity`` from ``low_hz`` to ``high_hz`` is judged in.
+    """The three bands in which a limit on ``quantity`` from ``low_hz`` to ``high_hz`` (Hz) is judged.
 
-    As it is, without and with what lies at its ends.
+    They are the band itself, and the band without and with the lines at its ends.
     """
     kinds: tuple[Kind, ...] = ("broad band", WITHOUT_ENDS, WITH_ENDS)
     return tuple(LevelBand(quantity, low_hz, high_hz, kind) for kind in kinds)
@@ -128,9 +128,9 @@ def level_frames(recording: xr.Dataset, shaft: xr.Dataset, *, bands: Sequence[Le
 
     Parameters
     ----------
-    recording : the full-band Recording; by crank angle it is taken as one at constant speed, without a speed it gives
-        no frames
-    shaft : its ShaftAngle
+    recording : the full-band Recording (channel, time or crank_angle); by crank angle it is taken as one at constant
+        speed, without a speed it gives no frames
+    shaft : its ShaftAngle (time)
     bands : bands and quantities; a level is one of them in one channel. One that a channel cannot give (the velocity
         of a pressure) is left out; one that the rate does not reach ends at rate / 2.56 (``reached_hz``)
     frame_s : length of the pieces in s; shorter ones are taken where the recording is short or the speed sweeps
@@ -372,7 +372,11 @@ LEVEL_COLUMNS = {
 
 
 def level_coords(keys: Sequence[LevelKey], reached_hz: ArrayLike, si: ArrayLike) -> Variables:
-    """Coordinates of the levels of these ``keys``, which end at ``reached_hz``, in units of ``si`` SI units."""
+    """Coordinates (level,) of the levels of these ``keys``.
+
+    ``reached_hz`` (levels,) are the frequencies [Hz] at which their bands end, ``si`` (levels,) the SI units in one
+    unit of each.
+    """
     columns = [*([key[place] for key in keys] for place in range(6)), reached_hz, si]
     return {
         name: described("level", np.array(column, dtype=np.str_ if place < 4 else np.float64), unit, text)
@@ -420,7 +424,7 @@ NO_LINE = (0.0, math.nan, math.nan, math.nan, math.nan)
 def recording_levels(
     recording: xr.Dataset, shaft: xr.Dataset, *, orders: OrderSettings, campbell: CampbellSettings
 ) -> xr.Dataset:
-    """RecordingLevels: root mean square of each channel, and what lies above the band of the orders and the map.
+    """RecordingLevels (channel): root mean square, and its part above the band of the orders and of the Campbell map.
 
     ``recording`` is the full-band Recording, ``shaft`` its ShaftAngle. The band ends at ``orders.max_order`` times
     the speed or ``campbell.max_frequency_hz``, whichever is higher; by crank angle without a speed at

@@ -29,14 +29,14 @@ HANN_CORRELATION = 1.95
 
 
 def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
-    """How many leading frames hold a start transient, by bin (bins,) of each of ``frames``; None where none does.
+    """Number of leading frames that hold a start transient, by bin (bins,), for each of ``frames``; None without any.
 
-    Machines are switched on, loads are set: what rings then is the free decay of the modes, whose line in a frame is no
-    resonance behind noise. It begins with the recording, so the power of the first frames over the later ones tells
+    When machines are switched on or loads are set the modes decay freely, and their line in a frame is no resonance
+    excited by noise. It begins with the recording, so the power of the first frames over the later ones tells
     it from noise (all recordings with like bins together), frame by frame until one is like the later ones.
 
-    ``frames``: FrequencyFrames of the recordings of a test; those of what does not turn are left as they are, for a
-    struck structure shows nothing else.
+    ``frames`` are the FrequencyFrames (channel, frame, frequency) of the recordings of a test; those of structures that
+    do not turn are left as they are, as a struck structure shows nothing else.
     """
     leading: list[Ints] = [np.zeros(item.sizes["frequency"], dtype=np.int64) for item in frames]
     alike: dict[tuple[int, int], list[int]] = {}
@@ -112,7 +112,7 @@ def _level(ratio: Floats) -> Floats:
 
 
 def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
-    """CampbellMap of a test from the FrequencyFrames of its recordings.
+    """CampbellMap (channel, speed, frequency) of a test from the FrequencyFrames of its recordings.
 
     Of all ``frames``, those whose speeds differ by less than ``speed_bin_rpm`` are averaged by energy. ``amplitude``
     is the peak (or RMS, as the frames ask) of a tone wherever it lies between two bins, so that an order line does not

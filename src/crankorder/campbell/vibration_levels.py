@@ -300,8 +300,8 @@ def _t(freedom: Floats, *, chance: float = 1.0 - CONFIDENCE) -> Floats:
 def rms_within(rms: Floats, log_error: Floats, freedom: Floats, *, chance: float) -> Floats:
     """Interval (level, 2) of each ``rms`` that it leaves by ``chance``, from the error of the logarithm of its square.
 
-    ``rms``: (level,). ``log_error`` and ``freedom`` (level,) are those of VibrationLevels; both ends are NaN where
-    nothing is known of the error.
+    ``rms`` is (level,), ``log_error`` and ``freedom`` (level,) are those of VibrationLevels, ``chance`` is 0 to 1; both
+    ends are NaN where nothing is known of the error.
     """
     half = 0.5 * _t(freedom, chance=chance) * log_error
     return rms[:, None] * np.exp(np.stack([-half, half], axis=1))

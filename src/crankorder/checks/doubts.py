@@ -37,12 +37,12 @@ _NOTHING_IS_ZERO = ("degrees_of_freedom", "n_independent", "n_cycles", "peak_abo
 
 @dataclass(frozen=True)
 class Doubts:
-    """What is doubted of which recording and channel, and what takes no part in averages.
+    """Doubts about recordings and channels, and which of them take no part in averages.
 
-    By name of the recording, ``gains``: its channels of another gain or unit than beside it, to be left out where the
-    flag says so; ``clocks``: how the clock of its pulses runs beside that of its samples; ``left_out``: why it is left
-    out. ``lengths``: files that may have lost their end; ``channels_left_out``: a sentence on each channel that is left
-    out of a recording that stays.
+    By name of the recording, ``gains`` are flags on channels of another gain or unit than in the other recordings, to
+    be left out where the flag says so, ``clocks`` are flags on the clock of its pulses against that of its samples,
+    ``left_out`` says why it is left out. ``lengths`` are flags on files that may have lost their end,
+    ``channels_left_out`` are sentences on channels that are left out of recordings that stay.
     """
 
     gains: Mapping[str, list[QualityFlag]] = field(default_factory=dict)
@@ -63,9 +63,10 @@ def doubts_of(
 ) -> Doubts:
     """Doubts about recordings from their ``shafts`` (ShaftAngle), ``levels`` (RecordingLevels) and order ``frames``.
 
-    ``told``: the flags of each recording by name; the level of one with a bad flag is compared with no other.
-    ``strict`` leaves out what is "suspect" too. ``settings`` say by how much a level must jump to be doubted, and by
-    how much where floors and orders together prove it.
+    Levels are (channel), frames (channel, frame, order). ``told`` has the flags of each recording by name; the level of
+    one with a bad flag is compared with no other. ``strict`` also leaves out recordings with "suspect" flags.
+    ``settings`` say by how much a level must jump to be doubted, and by how much where floors and orders together prove
+    it.
     """
     speeds, lengths_s = dict[str, tuple[float, float]](), dict[str, float]()
     for shaft in shafts:
@@ -118,7 +119,11 @@ def _recorded_levels(
 
 
 def emptied(frame: xr.Dataset, flags: Sequence[QualityFlag]) -> xr.Dataset:
-    """``frame`` of a recording, in which the channels that ``flags`` leave out look as if nothing had been recorded."""
+    """``frame`` (dims of ``data_schema/``) of a recording, without data in the channels that ``flags`` leave out.
+
+    Their estimates are NaN, or 0 such as degrees of freedom, as if nothing had been recorded; ``frame`` itself stays as
+    it is.
+    """
     names = [flag["channel"] for flag in flags if flag.get("left_out") == "channel"]
     if not names or "channel" not in frame.dims:
         return frame
@@ -135,8 +140,8 @@ def emptied(frame: xr.Dataset, flags: Sequence[QualityFlag]) -> xr.Dataset:
 def short_recordings(lengths_s: Mapping[str, float]) -> list[QualityFlag]:
     """A remark on each recording that is shorter than the others, where nearly all of these last equally long.
 
-    ``lengths_s``, by name, are those over which the shaft is known: recordings whose shaft stood still for a while may
-    be named.
+    ``lengths_s`` are the lengths [s] by name over which the shaft is known: recordings whose shaft stood still for a
+    while may be named.
     """
     lengths = np.array(list(lengths_s.values()))
     if len(lengths) < LENGTHS.fewest_recordings:
@@ -154,9 +159,10 @@ def short_recordings(lengths_s: Mapping[str, float]) -> list[QualityFlag]:
 
 
 def fault_of(name: str, flags: Sequence[QualityFlag], *, strict: bool = False) -> InputError | None:
-    """Why the recording ``name`` takes no part, None where it does: its ``flags``, where ``strict`` "suspect" ones too.
+    """Why the recording ``name`` takes no part, by its ``flags``; None where it takes part.
 
-    What a flag says was left out already, a channel or a stretch, takes the recording along only where ``strict``.
+    "bad" flags count, and "suspect" ones where ``strict``. A flag on a channel or stretch that was left out already
+    counts only where ``strict``.
     """
     doubts = [
         f"{flag['flag']} ({flag['detail']})"
@@ -176,9 +182,9 @@ NOT_COMPARED = "clocks_not_compared"
 
 
 def clock_drift(frames: xr.Dataset) -> QualityFlag | None:
-    """Whether the clocks of pulses and samples of ``frames`` (OrderFrames) agree; None where one clock stamped both.
+    """Flag where the clocks of pulses and samples of ``frames`` (OrderFrames) differ; None where one clock made both.
 
-    So where too few lines stand out, where these differ by more than their noise lets them, and where the speed is not
+    None too where too few lines stand out, where these disagree by more than their noise, and where the speed is not
     held: in a sweep modes turn the phases of lines.
     """
     speed = frames["speed"].values
@@ -216,8 +222,10 @@ def clock_drift(frames: xr.Dataset) -> QualityFlag | None:
 
 
 def standing_orders(frames: xr.Dataset) -> tuple[Ints, dict[str, tuple[Floats, Bools]]]:
-    """Bins (orders,) of the cycle's orders in OrderFrames ``frames``, and of each channel, by name, their mean power
-    (orders,) and which stand out; nothing where the bins are too few to tell.
+    """Bins (orders,) of the cycle's orders in OrderFrames ``frames``, and their mean power and prominence by channel.
+
+    Of each channel, by name, these are the mean power (orders,) and which orders (orders,) stand out; both results are
+    empty where the bins are too few to tell.
     """
     half, told = DRIFT.beside_bins, dict[str, tuple[Floats, Bools]]()
     if "spectrum" not in frames or frames.sizes["order"] <= 2 * half:
@@ -269,7 +277,7 @@ def _slopes(lines: Complexes, begin: Floats) -> tuple[Floats, Floats]:
 
 
 def flags_of_all(datasets: Iterable[xr.Dataset]) -> list[QualityFlag]:
-    """Quality flags of the ``datasets``, each once, in the order in which they were raised."""
+    """Quality flags of the ``datasets`` (any dims), each once, in the order in which they were raised."""
     flags: list[QualityFlag] = []
     for dataset in datasets:
         flags += [flag for flag in flags_of(dataset) if flag not in flags]
@@ -278,7 +286,10 @@ def flags_of_all(datasets: Iterable[xr.Dataset]) -> list[QualityFlag]:
 
 @dataclass(frozen=True)
 class RecordingResult:
-    """What one recording gives to its test: its shaft, and the frames by noun that the wanted results need."""
+    """What one recording gives to its test: its ``shaft`` (time), and the ``frames`` that the wanted results need.
+
+    The frames go by noun, with the dims of the schema of each in ``data_schema/``.
+    """
 
     shaft: ShaftAngle
     frames: Mapping[Any, xr.Dataset]
@@ -294,7 +305,7 @@ class RecordingResult:
         return flags_of_all((*self.frames.values(), self.shaft))
 
     def doubted(self, doubts: Doubts) -> RecordingResult:
-        """This result with its flags of ``doubts``, in which the channels that these leave out hold no data."""
+        """This result with its flags of ``doubts``, without data in the channels that these leave out."""
         gains, clocks = doubts.gains.get(self.name, []), doubts.clocks.get(self.name, [])
         if not gains and not clocks:
             return self

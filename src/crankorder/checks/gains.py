@@ -144,8 +144,9 @@ _Flags = dict[tuple[str, str], QualityFlag]
 class RecordedLevel:
     """One recording: its name, lowest and highest speed [rpm], and by channel name root mean square and ``floor``.
 
-    The floor is the root of the middling bin of the power spectrum, which neither lines nor modes raise. ``blocks``
-    holds that of each block of the spectrum, ``lines`` the amplitude of each order, NaN where none stands out.
+    The floor is the root of the median bin of the power spectrum, which neither lines nor modes raise. ``blocks``
+    (blocks,) holds that of each block of the spectrum, ``lines`` (orders,) the amplitude of each order, NaN where none
+    stands out. All are in the units of the channels.
     """
 
     recording: str
@@ -157,18 +158,19 @@ class RecordedLevel:
 
     @property
     def is_steady(self) -> bool:
-        """Whether its speed is one."""
+        """Whether its speed is constant and known."""
         low, high = self.speed_rpm
         return math.isfinite(low) and low > 0.0 and high <= low * (1.0 + _LIKE_SPEED)
 
 
 def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float, proven_ratio: float) -> list[QualityFlag]:
-    """Flags of those ``levels`` where a channel's lies ``ratio`` times or more off that of most recordings at like
-    speed, or its floor off those next in speed: that channel of that recording is to be left out. So is one whose
-    floors and orders together prove another gain by ``proven_ratio`` or more.
+    """Flags on channels of recordings whose level jumps, which are to be left out.
 
-    The other channels (one at least) must stay. Where no majority of the recordings at like speed agrees, nor those
-    next in speed, nobody knows which is wrong: all are named.
+    The level of such a channel differs by a factor of ``ratio`` or more from that of most recordings at like speed, or
+    its floor from those next in speed; or its floors and orders together prove another gain by a factor of
+    ``proven_ratio`` or more. The other channels of the recording, at least one, must not jump. Where neither a majority
+    of the recordings at like speed nor those next in speed agree, it is not known which is wrong, and all are named.
+    ``levels`` are those of the recordings.
     """
     steady = sorted((level for level in levels if level.is_steady), key=lambda level: level.speed_rpm)
     channels, least, middle, scatter = _floors_apart(steady)

@@ -48,7 +48,7 @@ PASS_SAMPLES = 65_536
 
 @dataclass(frozen=True)
 class DecimationStage:
-    """One FIR low-pass of symmetric ``taps`` that keeps every ``factor``-th sample."""
+    """One FIR low-pass of symmetric ``taps`` (taps,), an odd number, that keeps every ``factor``-th sample."""
 
     factor: int
     taps: Floats
@@ -60,10 +60,11 @@ class DecimationStage:
 
 
 def decimation_factor(rate_hz: float, band_hz: float, *, grid_hz: float | None = None) -> int:
-    """Largest factor that leaves 2.5 times ``band_hz`` of the rate ``rate_hz`` and splits into stages of at most 8.
+    """Largest factor, 1 or more, that leaves a rate of 2.5 times ``band_hz`` and splits into stages of at most 8.
 
-    A factor down to half of it is preferred where the rate left is then a multiple of ``grid_hz``, so that the bins of
-    a transform fall on that grid.
+    ``rate_hz`` are the samples per second before, ``band_hz`` is the end of the band, above 0. A factor down to half of
+    the largest is preferred where the rate left is then a multiple of ``grid_hz``, so that the bins of a transform fall
+    on that grid.
     """
     most = max(1, int(rate_hz / (2.0 * SPARE_BAND * band_hz)))
     possible = [factor for factor in range(most, 0, -1) if _splits(factor)]
@@ -83,8 +84,9 @@ def decimation_stages(
 ) -> tuple[DecimationStage, ...]:
     """Cheapest stages that keep 0…``band_hz`` within ``tolerance`` while the rate falls from ``rate_hz`` by ``factor``.
 
-    What would fold onto the band is stopped to ``tolerance``; what lies between the band and half of the new rate may
-    fold there. Each filter is the shortest Kaiser-windowed sinc (Kaiser 1974) whose computed response keeps this.
+    ``tolerance`` is the relative amplitude error. Content that would fold onto the band is attenuated to it; content
+    between the band and half of the new rate may fold there. Each filter is the shortest Kaiser-windowed sinc (Kaiser
+    1974) whose computed response keeps this.
     """
     band = band_hz / rate_hz * factor
     # to the next hundredth of the new rate: recordings that differ little in band share a design
@@ -208,7 +210,7 @@ def _mean(signal):  # type: ignore[no-untyped-def]
 
 
 def channel_offsets(signals: NDArray[np.floating]) -> tuple[Floats, bool]:
-    """Mean of the finite samples of each row of ``signals`` (channels, samples), and whether any is not finite."""
+    """Mean (channels,) of the finite samples of ``signals`` (channels, samples), and whether any is not finite."""
     means = np.zeros(len(signals))
     gaps = False
     for channel, row in enumerate(signals):
@@ -309,7 +311,7 @@ LARGEST_LOSS = 0.02
 
 
 def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, tolerance: float = TOLERANCE) -> xr.Dataset:
-    """BandRecording: the signals of ``recording`` without their mean, low-passed to ``band_hz`` and decimated.
+    """BandRecording (channel, time): signals of ``recording`` without mean, low-passed to ``band_hz`` and decimated.
 
     The new rate is a multiple of ``grid_hz`` where that costs little; within the band the amplitudes are right to
     ``tolerance`` (the attribute ``decimation_error`` says what is predicted). float32 stays float32. A short recording

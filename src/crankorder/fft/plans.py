@@ -22,7 +22,10 @@ Library = Literal["fftw", "scipy"]
 
 
 class Plan(Protocol):
-    """A planned transform: fill ``input_array``, ``execute``, read ``output_array``; the input may be overwritten."""
+    """A planned transform: fill ``input_array``, ``execute``, read ``output_array``; the input may be overwritten.
+
+    The arrays have the shapes (…, samples or bins) for which :func:`forward` or :func:`inverse` planned it.
+    """
 
     input_array: NDArray[Any]
     output_array: NDArray[Any]

@@ -39,7 +39,10 @@ BETWEEN = 1.02
 
 
 def kaiser_error(taps: int, pass_band: float) -> float:
-    """Error that Kaiser (1974) expects of a windowed sinc of ``taps`` for content up to ``pass_band`` of the rate."""
+    """Relative error that Kaiser (1974) expects of a windowed sinc of ``taps`` for content within ``pass_band``.
+
+    ``pass_band`` is a share of the sample rate, 0 to 0.5.
+    """
     return float(10.0 ** (-0.05 * (4.57 * np.pi * (1.0 - 2.0 * pass_band) * (taps - 1) + 7.95)))
 
 
@@ -85,7 +88,7 @@ def table_of(taps: int, pass_band: float, double: bool) -> NDArray[np.floating]:
     """Cubics (pieces, 4, taps), highest power first, of the weights over the fraction of a sample, piece by piece.
 
     ``taps`` and ``pass_band`` (share of the sample rate) name the kernel; ``double`` asks for float64 numbers, else
-    float32. They sum exactly to 1 and 0, 0, 0: a constant must not suffer.
+    float32. They sum exactly to 1 and 0, 0, 0, so that a constant stays the same.
     """
     dtype = np.float64 if double else np.float32
     pieces = _pieces_of(taps, pass_band)
@@ -142,11 +145,11 @@ FEWEST_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Kernel:
-    """An interpolation kernel: what a value between samples is made from.
+    """An interpolation kernel for values between samples.
 
-    ``taps`` are the samples that enter a value. Content up to ``pass_band`` (share of the sample rate, above 0, below
-    0.5) comes out with a largest relative amplitude error of ``predicted_error``, in double precision if ``double``,
-    else in single.
+    ``taps`` is the number of samples that enter a value. Content up to ``pass_band`` (share of the sample rate, above
+    0, below 0.5) comes out with a largest relative amplitude error of ``predicted_error``, in double precision if
+    ``double``, else in single.
     """
 
     taps: int
@@ -220,11 +223,11 @@ def _shortest(tolerance: float, content: float, double: bool) -> tuple[int, floa
 
 
 def values_at(signals: Signals, positions: Floats, *, kernel: Kernel | None = None) -> Signals:
-    """Values (channels, n) of ``signals`` (channels, samples), float32 or float64, at ``positions``, in their dtype.
+    """Values (channels, positions) of ``signals`` (channels, samples), float32 or float64, in their dtype.
 
-    ``positions`` (n,) are in samples from the first, any order, as far from both ends as ``kernel``.margin. ``kernel``
-    None is that of 48 taps for content up to 0.4 of the sample rate. Positions are float64: one
-    near p is exact to p · 1e-16, so give long records in blocks where 1e-9 matters.
+    ``positions`` (positions,) are in samples from the first, in any sequence, at least ``kernel``.margin from both
+    ends. ``kernel`` None is that of 48 taps for content up to 0.4 of the sample rate. Positions are float64: one near p
+    is exact to p · 1e-16, so give long records in blocks where 1e-9 matters.
 
     Raises RequestError where a position is not finite or lacks its neighbours, or where shapes do not fit.
     """
@@ -253,7 +256,7 @@ def values_at(signals: Signals, positions: Floats, *, kernel: Kernel | None = No
 
 
 def shifted(signal: NDArray[Any], samples: float) -> Signals:
-    """``signal`` (n,) delayed by ``samples``, whole or not: value k of it is ``signal`` at k - ``samples``.
+    """``signal`` (samples,) delayed by ``samples``, whole or not: its value k is ``signal`` at k - ``samples``.
 
     Content up to 0.4 of the sample rate is exact to 2e-7. NaN where the signal, or a neighbour that the kernel needs
     (24 samples to either side, none for a whole shift), is missing or lies beyond its ends. float32 stays float32.
@@ -275,7 +278,7 @@ def shifted(signal: NDArray[Any], samples: float) -> Signals:
 
 
 def margin() -> int:
-    """Samples at each end of a signal that serve only as neighbours of others, where no kernel is named."""
+    """Samples at each end of a signal that serve only as neighbours of others, for the default kernel."""
     return TAPS // 2 + 1
 
 
@@ -366,7 +369,7 @@ def _low_pass(step: float) -> tuple[Floats, int]:
 
 
 def reach_of(step: float) -> int:
-    """Samples to either side from which :func:`resampled` makes a value at a rate ``step`` times lower."""
+    """Samples to either side from which :func:`resampled` makes a value at a rate ``step`` (1 or more) times lower."""
     taps, down = _low_pass(step)
     return taps.size // 2 + (_kernel().margin + 1) * down
 
@@ -374,7 +377,8 @@ def reach_of(step: float) -> int:
 def resampled(row: NDArray[Any], begin: float, step: float, n_samples: int) -> NDArray[Any]:
     """``n_samples`` values of ``row`` (samples,), float32 or float64, one every ``step`` samples from ``begin`` on.
 
-    ``step`` is 1 or more. Needs :func:`reach_of` samples at either end; NaN where one that a value needs is missing.
+    ``step`` is 1 or more, ``begin`` a sample number with fractions. It needs :func:`reach_of` samples at either end; a
+    value is NaN where a sample that it needs is missing.
     """
     from scipy.signal import upfirdn
 

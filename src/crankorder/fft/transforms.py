@@ -136,7 +136,7 @@ def frame_starts(n_samples: int, n_frame: int, hop: int) -> Ints:
 
 
 def counted(mask: Bools, begin: ArrayLike, end: ArrayLike) -> Ints:
-    """How many samples (channels, spans) of ``mask`` (channels, samples) are set from ``begin`` to before ``end``.
+    """Number (channels, spans) of samples of ``mask`` (channels, samples) set from ``begin`` to before ``end``.
 
     ``begin`` and ``end`` (spans,) are cut at the ends of the record.
     """
@@ -147,9 +147,9 @@ def counted(mask: Bools, begin: ArrayLike, end: ArrayLike) -> Ints:
 
 
 def whole_frames(usable: Bools, starts: Ints, n_frame: int) -> Bools:
-    """Whether all samples of each frame can be used (channels, frames): the frames of ``n_frame`` from ``starts`` on.
+    """Whether (channels, frames) all samples of each frame of ``n_frame`` samples can be used.
 
-    ``starts``: (frames,). ``usable`` (channels, samples) says which samples can.
+    ``starts`` (frames,) are their first samples, ``usable`` (channels, samples) says which samples can.
     """
     return np.asarray(counted(~usable, starts, starts + n_frame) == 0)
 
@@ -162,10 +162,11 @@ _RING_PERIODS = 8.0
 
 
 def band_gain(frequency_hz: Floats, low_hz: float, high_hz: float, *, half_octaves: float) -> Floats:
-    """Amplitude gain (n,), at rising ``frequency_hz``, of a band from ``low_hz`` to ``high_hz`` (may be infinite).
+    """Amplitude gain (bins,), 0 to 1, at rising ``frequency_hz`` (bins,), of a band from ``low_hz`` to ``high_hz``.
 
-    Half of the power passes at either end; from ``half_octaves`` inside it all passes, from as far outside it nothing
-    (a quarter of a sine over the logarithm of frequency), so that bands that meet share the power between them.
+    ``high_hz`` may be infinite. Half of the power passes at either end; from ``half_octaves`` inside it all passes,
+    from as far outside it nothing (a quarter of a sine over the logarithm of frequency), so that bands that meet share
+    the power between them.
     """
     made = np.ones(len(frequency_hz))
     for end_hz, sign in ((low_hz, 1.0), (high_hz, -1.0)):
@@ -179,7 +180,7 @@ def band_gain(frequency_hz: Floats, low_hz: float, high_hz: float, *, half_octav
 
 
 def derivative_gain(frequency_hz: Floats, times: int) -> Complexes:
-    """Gain (n,) at ``frequency_hz`` (n,) of differentiating ``times`` times; negative integrates, 0 at 0 Hz."""
+    """Gain (bins,) at ``frequency_hz`` (bins,) of differentiating ``times`` times; negative integrates, 0 at 0 Hz."""
     turning = 2j * np.pi * frequency_hz
     gain = np.zeros(len(turning), dtype=np.complex128)
     np.power(turning, times, where=turning != 0.0, out=gain)
@@ -197,7 +198,7 @@ def integrated(
     rate_hz : samples per second
     times : 1 from acceleration to velocity, 2 to displacement
     highpass_hz : half of the power passes there; below all drift of the integral is taken out
-    half_octaves : half the width of the edge of the high-pass
+    half_octaves : half the width of the edge of the high-pass, octaves
 
     The spectrum is divided by (j ω)^``times``. At its ends the signal is faded in and out over ``faded_samples``, so
     that the lines in it do not leak into the low frequencies, which an integral magnifies; what was faded is NaN.
@@ -224,15 +225,18 @@ def integrated(
 
 
 def faded_samples(n_samples: int, rate_hz: float, highpass_hz: float) -> int:
-    """Samples at each end over which a signal is faded: a period of ``highpass_hz`` at ``rate_hz``.
+    """Samples at each end over which a signal is faded: a period of ``highpass_hz`` at ``rate_hz`` samples per second.
 
-    Of a short recording an eighth of its ``n_samples``.
+    In a short recording it is an eighth of its ``n_samples``.
     """
     return min(math.ceil(rate_hz / highpass_hz), n_samples // 8)
 
 
 def faded(n_samples: int, first: int, last: int) -> Floats:
-    """Weights (``n_samples``,) that rise by a squared sine over the ``first`` samples and fall over the ``last``."""
+    """Weights (samples,), 0 to 1, that rise by a squared sine over the ``first`` samples and fall over the ``last``.
+
+    There are ``n_samples`` of them.
+    """
     made = np.ones(n_samples)
     for ends, at in ((first, slice(0, first)), (last, slice(n_samples - last, n_samples))):
         rise = np.sin(0.5 * np.pi * (np.arange(ends) + 0.5) / max(ends, 1)) ** 2
@@ -241,7 +245,7 @@ def faded(n_samples: int, first: int, last: int) -> Floats:
 
 
 def bridged(signal: NDArray[Any]) -> Floats:
-    """``signal`` (n,) in double precision without its mean, with straight lines where it is NaN; 0 where it all is."""
+    """``signal`` (samples,) in double precision without its mean, straight lines in place of NaN; 0 if all is NaN."""
     made = np.array(signal, dtype=np.float64)
     missing = np.isnan(made)
     if missing.any():

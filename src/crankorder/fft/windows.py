@@ -32,7 +32,7 @@ LEAST, LARGEST = -1021, 1023
 
 @dataclass(frozen=True)
 class Window:
-    """A window of ``values`` (samples,) with its name; its sums give the scalings of a spectrum."""
+    """A window of ``values`` (samples,) with its ``name``; its sums give the scalings of a spectrum."""
 
     name: str
     values: Floats
@@ -49,7 +49,7 @@ class Window:
         return float(len(values) * (values @ values) / values.sum() ** 2)
 
     def response(self, offset_bins: Floats) -> Floats:
-        """Share of a tone's amplitude that a bin shows from which the tone lies ``offset_bins`` (any shape) away."""
+        """Share, 0 to 1, of a tone's amplitude in a bin from which the tone lies ``offset_bins`` (any shape) away."""
         n = len(self.values)
         centred = (np.arange(n) - 0.5 * n) / n
         turned = np.exp(-2j * np.pi * np.outer(np.asarray(offset_bins, dtype=np.float64), centred))
@@ -98,7 +98,8 @@ def hann(n_samples: int) -> Window:
 def window_named(name: str, n_samples: int, *, kaiser_beta: float = 14.0) -> Window:
     """Periodic window ``name`` of ``n_samples``, one of TERMS or ``kaiser`` (Kaiser 1974), whose largest value is 1.
 
-    ``kaiser_beta`` lowers the side lobes of ``kaiser``. Raises ValueError for another name.
+    ``kaiser_beta``, 0 or more and without unit, is the shape of ``kaiser``: more lowers its side lobes. Raises
+    ValueError for another name.
     """
     if name == "kaiser":
         return Window("kaiser", np.kaiser(n_samples + 1, kaiser_beta)[:-1])
@@ -116,7 +117,8 @@ def _cosines(name: str, n_samples: int) -> Window:
 def power_of_two(values: NDArray[Any]) -> Floats:
     """Power of two (channels, 1, …) next above the largest magnitude of each channel, 2 where that is 0 or unknown.
 
-    ``values`` (channels, …) real or complex, in any unit; NaN is left out.
+    ``values`` (channels, …) are real or complex, in any unit; NaN is left out. The power has exponents from LEAST to
+    LARGEST.
     """
     axes = tuple(range(1, values.ndim))
     if np.iscomplexobj(values):

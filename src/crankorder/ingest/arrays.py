@@ -27,11 +27,11 @@ DEFAULT_UNIT = "m/s2"
 
 
 def columns_of(signals: Signals) -> dict[str, NDArray[Any]]:
-    """Copies of the channels of ``signals`` by name: what is mended later is not the caller's.
+    """Copies (samples,) of the channels of ``signals`` by name: later repairs do not touch the caller's arrays.
 
-    ``signals``: a mapping or table (DataFrame) of channels by name; an xarray DataArray with a dimension ``channel``,
-    or one without; time series of SDyPy (SEP 5); or an array (samples,) or (channels, samples). Raises RequestError
-    where they are none of these.
+    ``signals`` is a mapping or table (DataFrame) of channels by name; an xarray DataArray (channel, any) or of one
+    dimension; time series of SDyPy (SEP 5); or an array (samples,) or (channels, samples). Raises RequestError where it
+    is none of these.
     """
     if is_timeseries(signals):
         return _by_name((series["name"], series["data"]) for series in signals)
@@ -78,10 +78,11 @@ def is_timeseries(signals: Any) -> TypeGuard[Sequence[Mapping[str, Any]]]:
 def told_by_timeseries(
     signals: Signals, rate_hz: float | None, unit: str | Mapping[str, str], *, settings: IngestSettings
 ) -> tuple[float | None, str | Mapping[str, str]]:
-    """Sampling rate and units of ``signals`` that are time series of SDyPy; of others what the caller said.
+    """Sampling rate [Hz] and units of ``signals`` that are time series of SDyPy; for others those of the caller.
 
-    A ``unit`` that the caller said goes before ``unit_str``; ``settings`` say how even times must be. Raises
-    RequestError where the rates of two of them, or of one and ``rate_hz``, differ; InputError where times are uneven.
+    A ``unit`` of the caller replaces ``unit_str``; ``settings`` say how even times must be. Raises RequestError where
+    no rate is stated, or where the rates of two series, or of one and ``rate_hz``, differ; InputError where times are
+    uneven.
     """
     if not is_timeseries(signals):
         return rate_hz, unit
@@ -116,7 +117,10 @@ def _of_data_array(signals: xr.DataArray) -> dict[str, NDArray[Any]]:
 
 
 def column(values: ArrayLike, name: str) -> NDArray[Any]:
-    """A copy of ``values``, called ``name``, as real numbers of one axis; what is masked is missing."""
+    """A copy (samples,), float32 or float64, of ``values`` (samples,), called ``name``; masked values become NaN.
+
+    Raises RequestError where ``values`` are not real numbers along one axis.
+    """
     given: Any = values if isinstance(values, np.ma.MaskedArray) else np.asarray(values)
     if given.ndim != 1 or given.dtype.kind not in "fiub":
         found = f"{given.dtype} of shape {given.shape}"
@@ -128,7 +132,10 @@ def column(values: ArrayLike, name: str) -> NDArray[Any]:
 
 
 def units_of(unit: str | Mapping[str, str], names: list[str]) -> dict[str, str]:
-    """Unit of each of the channels ``names``: ``unit`` of all, or of each by name."""
+    """Unit of each of the channels ``names``: ``unit`` is that of all, or holds one by name.
+
+    Raises RequestError where ``unit`` is neither, or where its names are not exactly ``names``.
+    """
     if isinstance(unit, str):
         return dict.fromkeys(names, unit)
     if not isinstance(unit, Mapping):
@@ -141,7 +148,7 @@ def units_of(unit: str | Mapping[str, str], names: list[str]) -> dict[str, str]:
 
 
 def number(value: Any, name: str) -> float:
-    """``value`` of the argument ``name`` as a finite number."""
+    """``value`` of the argument ``name`` as a finite number; raises RequestError where it is none."""
     try:
         finite = float(value) if not isinstance(value, str) else np.nan
     except (TypeError, ValueError):
@@ -152,7 +159,7 @@ def number(value: Any, name: str) -> float:
 
 
 def count(value: Any, name: str) -> int:
-    """``value`` of the argument ``name`` as a whole number, whatever type holds it."""
+    """``value`` of the argument ``name`` as an integer, of whatever type; raises RequestError where it is not whole."""
     whole = number(value, name)
     if whole != round(whole):
         raise RequestError("must be a whole number", file=CALL, place=name, found=repr(value))
@@ -162,9 +169,11 @@ def count(value: Any, name: str) -> int:
 def shaft_of(
     told: Mapping[str, Any], *, by_angle: bool, without: bool
 ) -> tuple[dict[str, str | float], dict[str, NDArray[Any]]]:
-    """The manifest's ``[encoder]`` and its columns by role, of the one of pulses, encoder, speed that was ``told``.
+    """The manifest's ``[encoder]`` table and its columns (samples or pulses,) by role, of the argument that was given.
 
-    None of them is needed of samples ``by_angle``, nor ``without`` a shaft.
+    ``told`` are the arguments by name, None where not given: pulse times [s], encoder trace, speed [rpm]. None of them
+    is needed for samples ``by_angle``, nor ``without`` a shaft. Raises RequestError where more than one is given, none
+    is but one is needed, or one is not numbers.
     """
     given = [key for key, value in told.items() if value is not None]
     if len(given) > 1:
@@ -182,9 +191,10 @@ def shaft_of(
 
 
 def check_times(times_s: NDArray[Any], start_s: float, seconds: float) -> None:
-    """Refuse pulse times in another unit than seconds: most of them lie outside the recording of so many ``seconds``.
+    """Refuse pulse times in another unit than seconds: most of these lie outside the recording.
 
-    ``times_s`` count as the samples do, the first of which is at ``start_s``.
+    Raises RequestError where fewer than half of ``times_s`` (pulses,) [s] lie within the ``seconds`` of the recording,
+    whose first sample is at ``start_s`` on the same clock.
     """
     inside = (times_s >= start_s) & (times_s <= start_s + seconds)
     if times_s.size and np.isfinite(times_s).all() and float(inside.mean()) < INSIDE:

@@ -109,13 +109,13 @@ class Channel(Table):
 
     @property
     def stated_source_unit(self) -> Unit | None:
-        """Unit of what the sensor measures by the manifest alone, None where it does not say."""
+        """Unit of the quantity that the sensor measures, by the manifest alone; None where it does not say."""
         if self.sensitivity is not None:
             return parse_sensitivity(self.sensitivity).measured
         return None if self.measured_unit is None else unit_of(self.measured_unit)
 
     def integrals_from(self, source: Unit | None) -> int:
-        """How often what is measured in ``source`` is integrated: 0 unless ``quantity`` asks for it by name."""
+        """How many times a signal in the unit ``source`` is integrated: 0 unless ``quantity`` asks for it by name."""
         wanted = self.analysed_unit.quantity
         if source is None or not self.quantity or wanted not in DERIVATIVE or source.quantity not in DERIVATIVE:
             return 0
@@ -126,7 +126,7 @@ class Channel(Table):
 class Scaling:
     """Offset in the file's unit and factor to ``unit``; ``remark`` tells of a unit that was not understood.
 
-    ``unit`` is the analysed one; where the channel is to be integrated ``integrals`` times, that of what is measured.
+    ``unit`` is the analysed one, or the measured one where the channel is to be integrated ``integrals`` times.
     """
 
     offset: float
@@ -192,7 +192,7 @@ _UNIT_OF_RESULT = (
 
 
 def channel_faults(channel: Channel, place: str) -> Iterator[RequestError]:
-    """What is wrong with the units of ``channel``, at ``place`` in the manifest."""
+    """Faults of the units of ``channel``, at ``place`` in the manifest, yielded as RequestErrors."""
     unit, source, output = channel.analysed_unit, channel.stated_source_unit, None
     if channel.sensitivity is not None:
         output = parse_sensitivity(channel.sensitivity).output
@@ -292,7 +292,7 @@ class Limit(Table):
         return value * unit.factor
 
     def above_rate(self, rate_hz: float) -> str:
-        """Why its band cannot be told of samples at ``rate_hz`` per second; empty where it can, or is cut as unstated.
+        """Why samples at ``rate_hz`` per second cannot tell its band; empty where they can or the band is not stated.
 
         A band that the manifest states must lie below half of the rate; the usual one ends where the recorder ends.
         """
@@ -310,9 +310,10 @@ class Rotor(Table):
 
 
 def check_bands(limits: tuple[Limit, ...], rate_hz: float, path: Path) -> None:
-    """Nothing where samples at ``rate_hz`` per second hold the bands of all ``limits``, as far as they are stated.
+    """Refuse a recording whose samples at ``rate_hz`` per second do not hold the stated bands of all ``limits``.
 
-    Raises InputError that names the first that the recording at ``path`` does not hold; none at an unknown rate (NaN).
+    Raises InputError that names the first band that the recording at ``path`` does not hold; an unknown rate (NaN)
+    passes.
     """
     for number, limit in enumerate(limits):
         if limit.of_vibration and (problem := limit.above_rate(rate_hz)):
@@ -324,7 +325,11 @@ def check_bands(limits: tuple[Limit, ...], rate_hz: float, path: Path) -> None:
 def limit_faults(
     limits: tuple[Limit, ...], channels: Mapping[str, Channel], rotor: Rotor | None, rate_hz: float | None
 ) -> Iterator[RequestError]:
-    """What is wrong with ``limits`` beside the ``channels`` by name, the ``rotor`` and the stated rate ``rate_hz``."""
+    """Faults of ``limits``, yielded as RequestErrors that name the place in the manifest.
+
+    ``channels`` are those of the manifest by name, ``rotor`` its table or None, ``rate_hz`` the stated samples per
+    second, None where nothing states them.
+    """
     for number, limit in enumerate(limits):
         place, wanted = f"limits.{number}", "velocity" if limit.quantity == "balance grade" else limit.quantity
         if parse_quantity(limit.value)[1].quantity != wanted:

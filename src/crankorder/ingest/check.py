@@ -15,9 +15,9 @@ from crankorder.settings import IngestSettings
 def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: IngestSettings) -> list[CrankorderError]:
     """All faults of the test-run folder ``folder``: of its manifest, then of every file that this names.
 
-    ``manifest_path`` names a manifest that lives elsewhere; ``settings`` limit what is opened. An empty list is a
-    folder that can be analysed, as far as names, sizes, rates and units tell; samples are not read. Raises nothing of
-    its own.
+    ``manifest_path`` names a manifest that lies elsewhere; ``settings`` limit what is opened. With an empty list the
+    folder can be analysed, as far as names, sizes, rates and units tell; samples are not read. Faults are returned, not
+    raised.
     """
     if faults := manifest_faults(folder, manifest_path):
         return faults
@@ -39,7 +39,7 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
 def manifest_faults(folder: Path, manifest_path: Path | None = None) -> list[CrankorderError]:
     """All faults of the manifest of the test-run folder ``folder``, or of that at ``manifest_path``.
 
-    Of a right manifest those of the files that it names, where none of them is there to be looked into.
+    Where the manifest has none, they are those of the files that it names, if none of these can be opened.
     """
     try:
         recordings = recordings_of(folder, load_manifest(folder, manifest_path))

@@ -38,10 +38,11 @@ def package(name: str, kind: str, remedy: str) -> Any:
 
 
 def in_child(task: Callable[[], T], path: Path, *, n_bytes: int) -> T:
-    """What ``task``, which parses the file at ``path``, gives; done in a process of its own where the system forks.
+    """Result of ``task``, which parses the file at ``path``, run in a process of its own where the system forks.
 
-    ``n_bytes``: of samples that it is to give, beside which it has a bounded memory and time. Raises what the task
-    raises of ours, UnsafeInputError where it goes beyond its limits, InputError where it fails in another way.
+    ``n_bytes`` is the size of the samples that it returns, beside which it has bounded memory and time. Raises the
+    CrankorderError that the task raises, UnsafeInputError where it exceeds its limits, InputError where it fails in
+    another way.
     """
     if not hasattr(os, "fork"):
         with located(path):

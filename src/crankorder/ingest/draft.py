@@ -59,7 +59,7 @@ _NOMINAL = 0.03
 
 @dataclass(frozen=True)
 class Wheel:
-    """What the pulses of an encoder show: the edge that tells most, the wheel or None, pulses and marks per second."""
+    """Result of a look at an encoder's pulses: the best edge, the wheel or None, pulses and marks per second."""
 
     edge: str
     found: FoundPattern | None
@@ -68,10 +68,10 @@ class Wheel:
 
 
 def wheel_of(columns: Columns, contents: Contents, path: Path) -> Wheel | None:
-    """What the encoder among ``columns`` of the recording at ``path`` shows, decoded as a run would decode it.
+    """Wheel of the encoder among ``columns`` of the recording at ``path``, decoded as a run would decode it.
 
-    ``contents`` are those of the file. None where nothing is an encoder, or its pulses cannot be decoded. A mark that
-    was told by the number of its edges counts only where the pulses alone show no wheel.
+    ``contents`` are those of the file. None where no column is an encoder, or its pulses cannot be decoded. A mark that
+    was recognised by the number of its edges counts only where the pulses alone show no wheel.
     """
     encoder, mark, time = (columns.of(role) for role in ("encoder", "index", "time"))
     if encoder is None or not encoder.kind or encoder.kind in POSITION_KINDS:

@@ -173,7 +173,7 @@ class Encoder(Table):
 
     @property
     def wheel(self) -> Mapping[str, int | list[float]]:
-        """Attributes of a recording that say what wheel it is; none where the pulses themselves must tell."""
+        """Attributes of a recording that state its wheel; empty where the pulses themselves must show it."""
         if self.tooth_angles_deg is not None:
             return {"tooth_angles_deg": list(self.tooth_angles_deg)}
         if self.pattern is not None:
@@ -187,9 +187,10 @@ class Encoder(Table):
 
 
 def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: bool) -> Iterator[RequestError]:
-    """Faults of ``encoder`` that show only when several keys are seen together.
+    """Faults of ``encoder`` that show only when several keys are seen together, yielded as RequestErrors.
 
-    ``cycle`` is that of the test; ``domain`` that of the samples; ``speeds_stated``: whether recordings have their own.
+    ``cycle`` is that of the test, ``domain`` that of the samples; ``speeds_stated`` says whether recordings have speeds
+    of their own.
     """
     kind, stated = encoder.kind, encoder.model_fields_set
     needs = {

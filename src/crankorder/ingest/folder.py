@@ -100,7 +100,7 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
 
 @contextmanager
 def collected(faults: list[CrankorderError]) -> Iterator[None]:
-    """Add what is raised within to ``faults``."""
+    """Append a CrankorderError that is raised within to ``faults``, instead of raising it."""
     try:
         yield
     except CrankorderError as error:
@@ -233,10 +233,10 @@ def checksum_faults(
     *,
     sha256_of: Callable[[Path], str | None] | None = None,
 ) -> list[CrankorderError]:
-    """Faults of ``files`` of the test-run folder ``folder`` that lists of checksums beside them tell.
+    """Faults of ``files`` of the test-run folder ``folder`` by lists of checksums beside them.
 
-    A file whose checksum differs, and one that is listed, would be a recording by the ``patterns`` and is not there.
-    ``sha256_of`` gives a SHA-256 that is known already. A list that cannot be read is a fault of its own.
+    A fault is a file whose checksum differs, a listed recording (by ``patterns``) that is missing, and a list that
+    cannot be read. ``sha256_of`` gives a SHA-256 that is known already.
     """
     faults: list[CrankorderError] = []
     wanted = {file.resolve(): file for file in files}

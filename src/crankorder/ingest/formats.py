@@ -61,11 +61,11 @@ _UNREAD_SIGNS: tuple[tuple[bytes, str, str], ...] = (
 
 @dataclass(frozen=True)
 class Format:
-    """A format that is read: its ``name``, the ``reader`` (``module.function`` of this room), what tells a file of it.
+    """A format that is read: its ``name``, its ``reader`` (``module.function`` of this room) and its recognition.
 
     ``told_by`` takes the file's path and first bytes. The reader (path, sources, settings → RawFile) is imported when
     it is needed, and its errors need not name the file; asked for no sources it reads no samples and tells what the
-    file holds. ``by_rows``: it can be asked for some samples alone, at the cost of these.
+    file holds. ``by_rows`` says whether some samples can be read alone, at their cost only.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Format:
     by_rows: bool = False
 
     def read(self, path: Path, **asked: Any) -> RawFile:
-        """What the reader gives for the file at ``path``, ``asked`` so."""
+        """Result of the reader for the file at ``path`` with the arguments ``asked``."""
         module, _, function = self.reader.rpartition(".")
         raw: RawFile = getattr(import_module(f"crankorder.ingest.{module}"), function)(path, **asked)
         return raw
@@ -137,8 +137,9 @@ TEXT = Format("text", "text.read", lambda path, head: True)
 def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings, rows: slice | None = None) -> RawFile:
     """Columns of the file at ``path`` that ``sources`` ask for, by whatever reader fits its content.
 
-    ``settings`` limit what is read; ``rows``: of the samples, None for all (of a format that can be read by rows).
-    Raises InputError, UnsafeInputError or, for a missing package, EnvironmentFailure.
+    Columns are (samples,). ``settings`` limit what is read; ``rows`` selects samples, None for all (only of a format
+    that can be read by rows). Raises InputError where the file is damaged or lacks a source, UnsafeInputError where
+    reading it would exceed limits, EnvironmentFailure where a package or the permission is missing.
     """
     some = {} if rows is None else {"rows": rows}
     known = format_of(path)
@@ -151,9 +152,10 @@ def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings
 
 
 def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
-    """What the file at ``path`` holds, read cheaply: names, units and rates, without the samples.
+    """Contents of the file at ``path``, read cheaply: names, units and rates, without the samples.
 
-    ``settings`` limit what is read. Raises what :func:`read_file` raises.
+    ``settings`` limit what is read. Raises InputError where the file holds no channel of numbers, and the errors of
+    :func:`read_file`.
     """
     contents = read_file(path, sources=(), settings=settings).contents
     if not contents.names:
@@ -164,7 +166,8 @@ def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
 def format_of(path: Path) -> Format:
     """Format of the file at ``path``, told by its content and never by its name.
 
-    Raises InputError that says what the file really is where it is not one of the formats that are read.
+    Raises InputError, which says what the file really is, where it is none of the formats that are read, is empty or
+    cannot be read; UnsafeInputError where opening it could run code; EnvironmentFailure without permission to read it.
     """
     check_regular(path)
     try:

@@ -95,7 +95,10 @@ def _dotted(key: str) -> str:
 
 
 def path_faults(paths: tuple[StatedPath, ...], unit_of_channel: Mapping[str, Unit]) -> Iterator[RequestError]:
-    """What is wrong with ``paths`` beside the channels: ``unit_of_channel`` gives the unit of each by name."""
+    """Faults of ``paths`` against the channels, yielded as RequestErrors.
+
+    ``unit_of_channel`` has the unit of each channel by name.
+    """
     seen: set[tuple[str, str]] = set()
     for number, path in enumerate(paths):
         place, unit = f"transfer_paths.{number}", unit_of_channel.get(path.channel)
@@ -169,7 +172,7 @@ def _points(folder: Path, name: str) -> list[tuple[float, float, float]]:
 
 
 def parts_of(pattern: str, name: str) -> dict[str, str] | None:
-    """What the named parts of ``pattern``, such as ``{step}``, are in the ``name`` of a file; None where it is none."""
+    """Named parts of ``pattern``, such as ``{step}``, in the ``name`` of a file; None where the name does not match."""
     seen: set[str] = set()
 
     def part(match: re.Match[str]) -> str:
@@ -258,7 +261,7 @@ class Gear(Table):
 
     @property
     def ratio_share(self) -> float:
-        """Share by which the ratio may be off: half a unit of its last digit, of three at least; that of 1 is exact."""
+        """Relative uncertainty of the ratio: half a unit of its last digit, of three at least; 0 for a ratio of 1."""
         if self.ratio == 1.0:
             return 0.0
         digits = "".join(map(str, Decimal(repr(self.ratio)).normalize().as_tuple().digits))
@@ -312,7 +315,7 @@ class Manifest(Table):
 
     @property
     def sampled(self) -> dict[str, Source]:
-        """Sources of the columns that were sampled by themselves, by what each is for; channels first."""
+        """Sources of the columns that were sampled by themselves, by role; channels come first."""
         encoder, roles = self.encoder, {channel.name: channel.file_source for channel in self.channels}
         marks = {"the second track": encoder.second_track, "the index": encoder.index, "the cam mark": encoder.cam}
         shaft = {"the encoder": encoder.source} if encoder.kind in (*TRACE_KINDS, "speed") else {}

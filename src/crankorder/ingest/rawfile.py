@@ -67,7 +67,7 @@ class Contents:
 
     @classmethod
     def of(cls, kind: str, columns: Mapping[str, Described], *, rate_uncertainty: float = 0.0) -> Contents:
-        """Contents of a file of the format ``kind`` with ``columns`` by name; ``rate_uncertainty`` as above."""
+        """Contents of a file of the format ``kind`` with ``columns`` by name; ``rate_uncertainty`` is relative."""
         return cls(
             kind,
             tuple(columns),
@@ -79,9 +79,10 @@ class Contents:
         )
 
     def with_columns(self, names: Mapping[Source, str], columns: Iterable[FloatArray], **further: Any) -> RawFile:
-        """The ``columns`` that were asked for, ``names`` by source, with what this says of each.
+        """RawFile of the ``columns`` (samples,) that were asked for, with unit, rate and start of each from here.
 
-        ``further``: attributes and flags of the RawFile, of which each is kept once.
+        ``names`` has their names by source, in the same sequence; ``further`` are other fields of the RawFile, such as
+        ``flags``, of which equal ones are kept once.
         """
         flags = further.pop("flags", [])
         return RawFile(
@@ -104,11 +105,11 @@ def _by_source(names: Mapping[Source, str], values: Mapping[str, Value]) -> dict
 class RawFile:
     """Columns of one file, each under the source by which it was asked for, and how the file says they were sampled.
 
-    ``columns`` are float32 or float64 in the file's unit, which ``units`` states where the file does. Columns that were
-    asked for one after the other may be neighbouring rows of one block, so that they can be stacked without a copy.
-    ``rates_hz``: samples per second of each, where the file states it; ``starts_s``: time of the first sample of each
-    on the one clock of the file, 0 where it states none. ``rate_uncertainty`` is that of :class:`Contents`.
-    ``contents``: what the file holds besides; nothing of arrays.
+    ``columns`` (samples,) are float32 or float64 in the file's unit, which ``units`` states where the file does.
+    Columns asked for one after the other may be neighbouring rows of one block, so that they can be stacked without a
+    copy. ``rates_hz`` are the samples per second of each, where the file states them; ``starts_s`` the time of the
+    first sample of each on the clock of the file, 0 where it states none. ``rate_uncertainty`` is that of
+    :class:`Contents`. ``contents`` says what else the file holds; it is empty of arrays from a notebook.
     """
 
     columns: Mapping[Source, FloatArray]
@@ -213,9 +214,10 @@ def float_type_for(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
 def rows_for(
     kinds: Sequence[tuple[int, type[np.float32] | type[np.float64]]], *, in_memory_bytes: int
 ) -> list[FloatArray]:
-    """A row to be filled for each of ``kinds`` (samples, type); those of one kind are neighbours in one block.
+    """Row (samples,) to be filled for each of ``kinds``, pairs of a number of samples and a type.
 
-    They lie on disk where all of them together are more than ``in_memory_bytes``.
+    Rows of one kind are neighbours in one block. All lie on disk where together they exceed ``in_memory_bytes``. Raises
+    EnvironmentFailure where the disk has no room for them.
     """
     on_disk = sum(n_samples * np.dtype(dtype).itemsize for n_samples, dtype in kinds) > in_memory_bytes
     room = {kind: iter(empty((kinds.count(kind), kind[0]), kind[1], on_disk=on_disk)) for kind in dict.fromkeys(kinds)}
@@ -223,7 +225,7 @@ def rows_for(
 
 
 def looks_counted(values: FloatArray) -> bool:
-    """Whether ``values`` (sample,) are whole numbers of many sizes, as a converter counts; looks at some of them."""
+    """Whether ``values`` (samples,) are whole numbers of many sizes, as a converter counts; looks at some of them."""
     some = values[:: max(1, values.size // _LOOKED_AT)][:_LOOKED_AT]
     some = some[np.isfinite(some)]
     return bool((some == np.rint(some)).all()) and np.unique(some).size >= _SIZES
@@ -243,7 +245,7 @@ def check_budget(n_bytes: int, settings: IngestSettings) -> None:
 
 
 def stacked(rows: Sequence[FloatArray]) -> FloatArray:
-    """``rows`` as one array (channel, time), without a copy where the reader laid them down side by side."""
+    """``rows``, each (samples,), as one array (channels, samples); no copy where they are neighbours in one block."""
     base = rows[0].base
     if isinstance(base, np.ndarray) and base.ndim == 2 and base.flags.writeable and base.flags.c_contiguous:
         step = base.strides[0]

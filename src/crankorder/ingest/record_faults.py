@@ -116,7 +116,7 @@ class _Channel:
 
 
 def find_copies(channels: Sequence[_Channel]) -> None:
-    """Tell each of the ``channels`` that equals an earlier one."""
+    """Flag each of ``channels`` that equals an earlier one."""
     n_samples = channels[0].samples.size
     step = max(n_samples // 64, 1)
     for number, later in enumerate(channels):
@@ -131,10 +131,10 @@ def find_copies(channels: Sequence[_Channel]) -> None:
 
 
 def find_dead(channels: Sequence[_Channel], *, settings: IngestSettings) -> None:
-    """Tell those of the ``channels`` that hold noise alone while others of their unit see the machine.
+    """Flag those of ``channels`` that hold only noise while others of their unit see the machine.
 
-    Dead is one far below the middle of the others (``settings``) in which none of the strongest lines of the loudest
-    stands out, whether it toggles between a few steps of the converter or not.
+    A channel is dead that lies far below the median of the others (``settings``) and shows none of the strongest lines
+    of the loudest, whether it toggles between a few steps of the converter or not.
     """
     for own in channels:
         others = [each for each in channels if each.unit == own.unit and each is not own and each.size > 0.0]
@@ -180,10 +180,10 @@ def _over_floor(power: Floats, place: int) -> float:
 
 
 def find_mains_only(channels: Sequence[_Channel], rate_hz: float, shaft_hz: float, *, settings: IngestSettings) -> None:
-    """Tell those of the ``channels`` that hold mains, its multiples and noise, while others hold other lines.
+    """Flag those of ``channels`` that hold mains, its multiples and noise, while others hold other lines.
 
-    They are sampled at ``rate_hz`` and judged by ``settings``. ``shaft_hz``: of the shaft, 0 for none; NaN where
-    unknown, and then nothing is told, nor where an order of the shaft lies on mains.
+    They are sampled at ``rate_hz`` and judged by ``settings``. ``shaft_hz`` is the frequency of the shaft, 0 for none;
+    nothing is flagged where it is NaN, unknown, or where an order of the shaft lies on mains.
     """
     if not math.isfinite(shaft_hz) or not math.isfinite(rate_hz):
         return
@@ -230,7 +230,7 @@ def _lines_beside(row: Floats, series_hz: float, mains_hz: float) -> float:
 
 
 def find_level_steps(channels: Sequence[_Channel], *, settings: IngestSettings) -> None:
-    """Tell those of the ``channels`` whose level steps (``settings``) beside all others."""
+    """Flag those of ``channels`` whose level steps (``settings``) while that of the others does not."""
     surveys = [channel.survey for channel in channels]
     group = len(surveys[0].means) // _PIECES
     if group < 4:
@@ -268,10 +268,10 @@ def _largest_step(level: np.ndarray) -> tuple[int, float]:
 
 
 def find_smoothed_clipping(channel: _Channel, *, settings: IngestSettings) -> None:
-    """Tell clipping of a ``channel`` at levels that no two samples need share; only a doubt where one side has it.
+    """Flag clipping of a ``channel`` whose clipped samples differ a little, as after a filter.
 
-    ``settings`` say what a plateau is. The rest of the vibration must be smaller on the plateaus than between them for
-    it to be "bad", and the quantity one that has no plateaus of its own.
+    It is only "suspect" where one side alone is clipped. ``settings`` say what a plateau is. The flag is "bad" only
+    where the channel measures vibration, and the rest of it is smaller on the plateaus than between them.
     """
     without_doubt = channel.is_vibration
     samples = _strongest(channel.samples, channel.survey)
@@ -364,11 +364,12 @@ def _turns_smoothly(above: FloatArray, edges: Ints, lag: int) -> bool:
 
 
 def find_spikes(channel: _Channel, *, settings: IngestSettings) -> None:
-    """Tell the spikes of a ``channel``, and bridge them in place.
+    """Flag the spikes of a ``channel``, and bridge them in place.
 
-    ``settings`` say what stands out. A polynomial through 20 neighbours predicts the middle; the spike stands
-    ``spike_ratio`` times further off it than any neighbour does, and above the root mean square of the signal. A strike
-    or a knock rings through the neighbours. In what is no vibration spikes that all look alike are the signal itself.
+    ``settings`` say what stands out. A polynomial through 20 neighbours predicts the middle sample; a spike deviates
+    from it ``spike_ratio`` times as much as any neighbour does, and exceeds the root mean square of the signal. A
+    strike or a knock rings through the neighbours. In signals other than vibration, spikes that all look alike are the
+    signal itself.
     """
     signal, survey = channel.samples, channel.survey
     places = _candidates(signal, survey)
@@ -456,10 +457,10 @@ def _look_like_pulses(places: Ints, deviations: Floats) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """What the samples of a recording are: names and quantities by channel, their axis, and the shaft's speed.
+    """What the samples of a recording are: names, quantities and units by channel, their axis, and the shaft's speed.
 
-    ``rate`` samples per ``unit`` ("s", "rev"), the first at ``start``; ``rate_hz`` NaN by crank angle; ``shaft_hz`` 0
-    where there is no shaft, NaN where its speed is unknown.
+    There are ``rate`` samples per ``unit`` ("s" or "rev"), the first at ``start``; ``rate_hz`` is NaN by crank angle;
+    ``shaft_hz`` is 0 where there is no shaft, NaN where its speed is unknown.
     """
 
     names: Sequence[str]
@@ -472,7 +473,10 @@ class Sampled:
     shaft_hz: float
 
     def span(self, at: Ints, n_samples: int) -> tuple[float, float]:
-        """From when to when ``at`` reaches, all of the ``n_samples`` where it names none."""
+        """Begin and end, in ``unit``, of the range over the spans ``at`` (spans, 2) of samples.
+
+        That of all ``n_samples`` where ``at`` is empty.
+        """
         first, last = (int(at.min()), int(at.max())) if len(at) else (0, n_samples)
         return self.start + first / self.rate, self.start + last / self.rate
 
@@ -480,11 +484,18 @@ class Sampled:
 def judged(
     signals: FloatArray, known: Sequence[list[SignalFault]], sampled: Sampled, path: Path, *, settings: IngestSettings
 ) -> list[QualityFlag]:
-    """Flags of the ``signals`` (channel, sample), of which what is lost becomes NaN in place and spikes are bridged.
+    """Quality flags of the ``signals``; in place, lost samples become NaN and spikes are bridged.
 
-    ``known`` faults by channel were found before; the recording, ``sampled`` so, lies at ``path``; ``settings`` say
-    what counts. A channel of which too much is lost is left out alone; where that is so of all channels they stay as
-    they are, for the recording is left out as a whole.
+    A channel of which too much is lost is left out alone; where that is so of all channels they stay as they are, for
+    the recording is left out as a whole.
+
+    Parameters
+    ----------
+    signals : (channels, samples), float32 or float64, changed in place
+    known : faults found before, by channel
+    sampled : how the recording was sampled
+    path : file of the recording, named in the flags
+    settings : what counts as a fault
     """
     n_samples = signals.shape[1]
     faults = [list(own) for own in known]

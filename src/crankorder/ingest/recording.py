@@ -39,11 +39,12 @@ _ROUGH_RATE = 1e-4
 
 
 def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings) -> xr.Dataset:
-    """The Recording that the file at ``path`` holds, as ``manifest`` describes it (``data_schema/recording.json``).
+    """The Recording (channel, time or crank_angle) in the file at ``path``, as ``manifest`` describes it.
 
-    ``settings`` limit what is read and say what is a fault of a signal; ``shaft`` says how a trace becomes pulses.
-    Raises InputError where the file is damaged, lacks a channel, contradicts the manifest, or has samples missing;
-    what can be mended is mended and flagged in ``attrs["quality"]``.
+    Its variables are those of ``data_schema/recording.json``. ``settings`` limit what is read and say what is a fault
+    of a signal; ``shaft`` says how a trace becomes pulses. Raises InputError where the file is damaged, lacks a
+    channel, contradicts the manifest, or has samples missing; what can be mended is mended and flagged in
+    ``attrs["quality"]``.
     """
     pulses = manifest.pulses_of(path)
     if pulses is None:
@@ -58,10 +59,11 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
 def read_parts(
     path: Path, manifest: Manifest, *, settings: IngestSettings, shaft: ShaftSettings, most_bytes: int
 ) -> tuple[list[xr.Dataset], float]:
-    """Head, middle and tail of the recording at ``path``, each a Recording, and the share of its samples that they are.
+    """Head, middle and tail of the recording at ``path``, each a Recording, and their share of its samples, 0 to 1.
 
-    All of it where its samples take less than ``most_bytes``, or where a part of it cannot be read by itself.
-    ``manifest``, ``settings`` and ``shaft``, and what is raised, are those of :func:`read_recording`.
+    The result is one Recording of all samples, and 1, where these take less than ``most_bytes``, or where a part of the
+    file cannot be read by itself. ``manifest``, ``settings`` and ``shaft``, and the errors raised, are those of
+    :func:`read_recording`.
     """
     n_samples, sources = 0, _wanted(manifest)
     if manifest.encoder.kind not in TIME_KINDS and format_of(path).by_rows:
@@ -91,8 +93,8 @@ def recording_of(
 ) -> Recording:
     """The Recording of the columns of ``raw``, called ``path``, as :func:`read_recording` makes it of a file.
 
-    ``manifest``, ``settings`` and ``shaft`` are those of :func:`read_recording`; columns are changed in place.
-    ``listed``: columns of the file of the pulses, where they have one of their own.
+    ``manifest``, ``settings`` and ``shaft``, and the errors raised, are those of :func:`read_recording`; columns are
+    changed in place. ``listed`` holds the columns of the file of the pulses, where they have one of their own.
     """
     flags = [*raw.flags, *(listed.flags if listed is not None else ())]
     of = _File(path, manifest, settings, flags)

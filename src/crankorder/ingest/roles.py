@@ -70,11 +70,11 @@ _SLOW_UNITS = ("°C", "degC", "deg C", "C", "°F", "degF", "F", "K", "%", "%RH")
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its ``name`` and ``source``, what it is for, the unit that the file or its name states, and doubts.
+    """One column: its ``name`` and ``source``, its ``role``, the unit that the file or its name states, and doubts.
 
     ``label`` is the name without its unit; ``doubt`` says what a person should decide about it, empty where nothing.
-    ``values`` (sample,) are empty where they were not read; angles are in degrees. ``kind`` is how an encoder tells
-    the shaft, and ``wrap`` after how much an angle or a count starts anew, 0 for never.
+    ``values`` (samples,) are empty where they were not read; angles are in degrees. ``kind`` is the kind of an encoder,
+    and ``wrap`` the value after which an angle or a count starts anew, in its unit, 0 for never.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Column:
 
     @property
     def seconds(self) -> Floats:
-        """Values of times, in s where no unit is stated."""
+        """Values (samples,) as times in s; a column without a stated unit of time is taken to be in s."""
         timed = self.unit is not None and self.unit.quantity == "time"
         return self.values * (self.unit.factor if self.unit is not None and timed else 1.0)
 
@@ -121,7 +121,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """The columns of a file; ``four_stroke``: its angle spans 720°."""
+    """The columns of a file; ``four_stroke`` says whether its angle spans 720°."""
 
     all: tuple[Column, ...]
     four_stroke: bool = False
@@ -136,7 +136,7 @@ class Columns:
 
 
 def is_square(values: Floats) -> bool:
-    """Whether ``values`` (sample,) stand at two levels nearly all of the time, however seldom at one of them."""
+    """Whether ``values`` (samples,) are at two levels nearly all of the time, however seldom at one of them."""
     finite = values[np.isfinite(values)]
     low, high = (float(level(finite)) for level in (np.min, np.max))
     for _ in range(2):
@@ -168,7 +168,7 @@ def angle_columns(contents: Contents) -> dict[str, float]:
 
 
 def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> Columns:
-    """What the columns of the file at ``path`` are for, whose ``contents`` are known; reads a bounded part of them.
+    """Columns of the file at ``path`` with their roles, from its ``contents`` and a bounded part of the samples.
 
     ``settings`` limit what is read.
     """
@@ -339,7 +339,7 @@ def _n_edges(values: Floats) -> int:
 
 
 def angle_step(values: Floats) -> float | None:
-    """Step in degrees of ``values`` (sample,) that grow evenly, over whole turns or without end; None of others."""
+    """Step [deg] of evenly rising ``values`` (samples,), over whole turns or without end; None for others."""
     steps = np.diff(values)
     usual = float(np.median(steps)) if steps.size else 0.0
     off = (steps - usual + 180.0) % 360.0 - 180.0
@@ -423,8 +423,8 @@ def read_checked(
 ) -> RawFile:
     """Columns of the file at ``path`` that ``sources`` ask for, as ``formats.read_file`` reads them.
 
-    By crank angle the columns of angle that the file holds beside them are held against ``manifest``; ``settings`` and
-    ``rows`` are those of that function. Raises what it raises, and InputError where such a column contradicts.
+    For recordings by crank angle, the columns of angle in the file are compared with ``manifest``; ``settings`` and
+    ``rows`` are those of that function. Raises its errors, and InputError where such a column contradicts.
     """
     if manifest.sampling.domain == "time":
         return read_file(path, sources=sources, settings=settings, rows=rows)
@@ -471,7 +471,7 @@ def _refuse_contradiction(name: str, angle_deg: Floats, manifest: Manifest, path
 
 @dataclass(frozen=True, slots=True)
 class PulseFiles:
-    """Patterns of the recordings and of the files of their pulses, the recordings, and what tells a pulse."""
+    """Patterns of the recordings and of their pulse files, the recordings, and the column that holds the pulses."""
 
     recordings: str
     pulses: str

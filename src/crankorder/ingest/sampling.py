@@ -36,9 +36,9 @@ FEWEST_ROWS = 4 * TAPS
 class TimeColumn:
     """What a column of times says: samples per second, its relative uncertainty, and the first time.
 
-    ``n_rows``: rows that count, without zeros at the end; ``places``: of each of them on the uniform grid, where rows
-    are missing in between. ``starts``: first place of each stretch between gaps, and ``offsets`` (stretch,) how many
-    samples it lies behind its places; one stretch without offset where all lie on the grid.
+    ``n_rows`` rows count, those without zeros at the end; ``places`` (rows,) are their places on the uniform grid, None
+    where no row is missing. ``starts`` (stretches,) is the first place of each stretch between gaps, ``offsets``
+    (stretches,) by how many samples it lies behind its places; one stretch without offset where all lie on the grid.
     """
 
     rate_hz: float
@@ -51,7 +51,10 @@ class TimeColumn:
     offsets: Floats = field(default_factory=lambda: np.zeros(1))
 
     def on_grid(self, column: FloatArray) -> FloatArray:
-        """``column`` (row,) on the uniform grid, NaN where rows are missing; a stretch off it in its nearest places."""
+        """``column`` (rows,) on the uniform grid (places,), NaN where rows are missing.
+
+        A stretch off the grid takes its nearest places.
+        """
         kept = column[: self.n_rows]
         if self.places is None:
             return kept
@@ -60,18 +63,18 @@ class TimeColumn:
         return gridded
 
     def align(self, signal: FloatArray) -> None:
-        """Shift each stretch of ``signal`` (place,), as on_grid lays it, onto the grid in place; NaN at its ends."""
+        """Shift each stretch of ``signal`` (places,), as on_grid lays it, onto the grid in place; NaN at its ends."""
         for first, end, offset in zip(self.starts, [*self.starts[1:], signal.size], self.offsets, strict=True):
             if offset:
                 signal[first:end] = shifted(signal[first:end], float(offset))
 
     def places_in_time(self, place: Floats) -> Floats:
-        """Places (n,) on the grid of the times at which a stretch was at ``place`` (n,) of a trace laid on_grid."""
+        """Places (events,) in time, in samples, of what lies at ``place`` (events,) of a trace laid by on_grid."""
         return np.asarray(place + self.offsets[np.searchsorted(self.starts, place, side="right") - 1])
 
 
 def seconds_of(raw: RawFile, source: Source) -> FloatArray:
-    """Column ``source`` of ``raw`` in seconds: in the unit that the file or its name states, else as it is."""
+    """Column ``source`` (samples,) of ``raw`` in s, by the unit that the file or the name states, else as it is."""
     unit = known_unit(raw.units.get(source) or unit_in_label(str(source)))
     factor = unit.factor if unit is not None and unit.quantity == "time" else 1.0
     column = raw.columns[source]
@@ -81,11 +84,11 @@ def seconds_of(raw: RawFile, source: Source) -> FloatArray:
 def read_time_column(
     times: FloatArray, path: Path, *, settings: IngestSettings, rounding: Floats | None = None
 ) -> TimeColumn:
-    """Rate and start of a column of ``times`` in seconds, shape (sample,), which must be uniform but for gaps.
+    """Rate and start of a column of ``times`` (samples,) in s, which must be uniform except for gaps.
 
-    ``rounding`` (sample,) in seconds, where known, is how far the digits of each time leave it open: what is even
-    within it is uniform, though times may repeat. ``path`` names the recording in errors; ``settings`` say how far a
-    time may lie off the uniform grid, and how much may be missing. Raises InputError naming the sample where times
+    ``rounding`` (samples,) in s, where known, is the uncertainty that the digits of each time leave: times that are
+    even within it are uniform, even where they repeat. ``path`` names the recording in errors; ``settings`` say how far
+    a time may lie off the uniform grid, and how much may be missing. Raises InputError naming the sample where times
     repeat, go back or wander, or too many are missing.
     """
     n_rows = rows_before_zeros(times)
@@ -156,7 +159,7 @@ def _steps(times: FloatArray) -> Iterator[tuple[int, Floats]]:
 
 
 def rows_before_zeros(times: FloatArray) -> int:
-    """Rows of ``times`` (row,) before those zeros at the end that some loggers write when they stop."""
+    """Number of ``times`` (rows,) before the zeros at the end that some loggers write when they stop."""
     if times.size < 3 or times[-1] != 0.0 or not times[times.size // 2] > 0.0:
         return times.size
     return int(np.flatnonzero(times)[-1]) + 1
@@ -263,8 +266,8 @@ def _gaps(
 def agreed_rate(rates: Mapping[str, tuple[float | None, float]], path: Path, *, settings: IngestSettings) -> float:
     """Samples per second on which all ``rates`` (by who states it: Hz or None, relative uncertainty) agree.
 
-    ``path`` names the recording in errors; ``settings`` give the tolerance, to which the uncertainties add.
-    Raises InputError where two of them disagree, so that never one silently wins, and where there is none.
+    ``path`` names the recording in errors; ``settings`` give the tolerance, to which the uncertainties are added.
+    Raises InputError where two of them disagree, and where none is stated.
     """
     stated = [(name, rate_hz, doubt) for name, (rate_hz, doubt) in rates.items() if rate_hz is not None]
     if not stated:
@@ -288,7 +291,7 @@ _MOST_CUT = 0.05
 
 
 class TimeBase(NamedTuple):
-    """Samples per second of a column, the time of its first sample on the clock of the file, and their number."""
+    """Samples per second of a column, the time [s] of its first sample on the clock of the file, their number."""
 
     rate_hz: float
     start_s: float
@@ -296,11 +299,11 @@ class TimeBase(NamedTuple):
 
     @property
     def end_s(self) -> float:
-        """Time of the last sample."""
+        """Time [s] of the last sample."""
         return self.start_s + (self.n_samples - 1) / self.rate_hz
 
     def place(self, time_s: float, settings: IngestSettings) -> float:
-        """Sample at ``time_s``, whole where it is so within the jitter that ``settings`` allow a time."""
+        """Sample number at ``time_s`` [s], with fractions; whole within the jitter that ``settings`` allow a time."""
         at = (time_s - self.start_s) * self.rate_hz
         return round(at) if abs(at - round(at)) <= settings.time_jitter_samples else at
 
@@ -331,7 +334,7 @@ def bases_of(
 
 
 def length_faults(bases: Mapping[str, TimeBase], path: Path) -> list[InputError]:
-    """Faults of columns of the file at ``path`` whose ``bases``, by role, are one but for their lengths."""
+    """Faults of columns of the file at ``path`` whose ``bases``, by role, differ only in length."""
     first: dict[tuple[float, float], str] = {}
     faults: list[InputError] = []
     for role, base in bases.items():
@@ -345,13 +348,13 @@ def length_faults(bases: Mapping[str, TimeBase], path: Path) -> list[InputError]
 def on_one_base(
     columns: dict[str, FloatArray], bases: Mapping[str, TimeBase], path: Path, *, settings: IngestSettings
 ) -> tuple[TimeBase, list[QualityFlag]]:
-    """Bring the channels ``columns`` (role to samples) to one base, in place; that base, and flags.
+    """Bring the channels ``columns``, (samples,) by role, to one time base, in place; returns that base, and flags.
 
-    ``bases`` by role are theirs and that of the encoder, which keeps its own. The base has the lowest rate of the
-    channels and spans the time in which they and the encoder were recorded, which holds for one of its steps beyond its
-    ends. What differs by whole samples is cut, other channels are resampled within their band; on one base all stay as
-    they are. ``path`` is the file of flags and errors; ``settings`` say when a place is whole. Raises InputError where
-    columns on one base differ in length, or less than three samples are common to all.
+    The base has the lowest rate of the channels and spans the time in which they and the encoder were recorded (with
+    one step beyond the ends of the encoder). Channels that differ by whole samples are cut, others are resampled within
+    their band; channels on one base stay as they are. ``bases`` by role are those of the channels and of the encoder,
+    which keeps its own. ``path`` is named in flags and errors; ``settings`` say when a place is whole. Raises
+    InputError where columns on one base differ in length, or fewer than three samples are common to all.
     """
     for fault in length_faults(bases, path):
         raise fault

@@ -30,13 +30,13 @@ _FINE_STEP_S = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """What becomes a Recording: its attributes and its variables by name, made a dataset when all are known."""
+    """Attributes and variables by name of a Recording, which becomes a dataset when all are known."""
 
     attrs: dict[str, Attribute]
     variables: dict[str, xr.Variable] = field(default_factory=dict)
 
     def number(self, name: str, default: float = math.nan) -> float:
-        """The attribute ``name``, a number; ``default`` without it."""
+        """The attribute ``name`` as a number in its own unit; ``default`` where there is none."""
         return float(np.asarray(self.attrs.get(name, default)))
 
     @property
@@ -52,10 +52,11 @@ class Gathered:
 
 @dataclass(frozen=True, slots=True)
 class ShaftSignals:
-    """Columns ``raw`` of the file at ``path`` that tell the shaft as ``manifest`` and ``settings`` say.
+    """Columns ``raw`` of the file at ``path`` that tell the angle or speed of the shaft, by ``manifest``.
 
-    ``bases`` are the time bases by role and ``base`` that of the channels, from whose first sample times count;
-    ``times`` is the column of the samples' times, if any. ``flags`` take what was seen.
+    ``settings`` are those of the shaft; ``bases`` are the time bases by role and ``base`` that of the channels, from
+    whose first sample times count; ``times`` is the column of the samples' times, if any. Quality flags are appended to
+    ``flags``.
     """
 
     raw: RawFile
@@ -73,7 +74,7 @@ class ShaftSignals:
         return self.manifest.encoder
 
     def add_to(self, recording: Gathered) -> None:
-        """Add what tells the angle or the speed of the shaft to ``recording``, and how it was told.
+        """Add the variables of the angle or speed of the shaft to ``recording``, and attributes on their kind.
 
         Raises InputError where a column cannot be what the manifest calls it, or no speed is known.
         """
@@ -330,7 +331,10 @@ LISTED = 5
 
 @dataclass(frozen=True, slots=True)
 class Break:
-    """The first ``sample`` behind a break, samples of the ``turn`` (or two) across it and of a ``usual`` one."""
+    """Break of a recording: ``sample`` is the first one behind it.
+
+    ``turn`` and ``usual`` are the samples of the turn across it, which may be two, and of a usual turn.
+    """
 
     sample: int
     turn: float
@@ -338,7 +342,7 @@ class Break:
 
     @property
     def missing(self) -> int:
-        """Samples that make the turn across the break whole."""
+        """Number of samples that are missing in the turn across the break."""
         return round(-self.turn % self.usual)
 
 
@@ -347,8 +351,8 @@ def find_breaks(turns: Floats, channels: Sequence[FloatArray]) -> list[Break]:
 
     Parameters
     ----------
-    turns : (marks,), samples, where a mark of the shaft passes once per turn
-    channels : signals (sample,) each, in any unit; missing samples are NaN
+    turns : (marks,), samples, rising places at which a mark of the shaft passes once per revolution
+    channels : signals, each (samples,), in any unit; missing samples are NaN
     """
     step = np.diff(turns)
     if step.size <= 2 * BESIDE:
@@ -406,10 +410,11 @@ def _jump(channels: Sequence[FloatArray], first: int, last: int, ahead: int, beh
 
 
 def laid_apart(recording: Gathered, channels: dict[str, FloatArray], path: Path, flags: list[QualityFlag]) -> None:
-    """Lay buffers that were written one behind the other apart, in ``channels`` and the pulses of ``recording``.
+    """Insert the gaps between buffers that were written without them, in ``channels`` and the pulses of ``recording``.
 
-    Where the pulses do not tell a turn the angle is lost across a break: the longest stretch is kept alone.
-    ``channels`` (name to samples) are those of the file at ``path``; ``flags`` take what was found.
+    Where the pulses do not tell a revolution the angle is lost across a break: only the longest stretch is kept.
+    ``channels``, (samples,) by name, are those of the file at ``path`` and are changed in place; quality flags are
+    appended to ``flags``.
     """
     rate_hz, teeth = recording.number("rate_hz"), recording.teeth
     variables = recording.variables

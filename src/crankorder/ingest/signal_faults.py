@@ -46,18 +46,21 @@ Mask = Callable[[FloatArray], Bools]
 
 
 def spans_of(*spans: tuple[int, int]) -> Ints:
-    """The ``spans`` as an array (span, 2): the first sample of each and the one after its last."""
+    """The ``spans`` as an array (spans, 2): the first sample of each and the one after its last."""
     return np.array(spans, dtype=np.int64).reshape(-1, 2)
 
 
 def lengths_of(spans: Ints) -> Ints:
-    """Samples of each of the ``spans`` (span, 2)."""
+    """Number of samples (spans,) of each of the ``spans`` (spans, 2)."""
     lengths: Ints = spans[:, 1] - spans[:, 0]
     return lengths
 
 
 def joined(spans: Sequence[Ints], *, within: int = 0, n_samples: int) -> Ints:
-    """All ``spans``, ``within`` samples wider on both sides, in order, those as one that touch; of ``n_samples``."""
+    """Union (joined, 2) of ``spans``, each (spans, 2), in order; spans that touch become one.
+
+    Each is widened by ``within`` samples on both sides first, and cut to the ``n_samples`` of the signal.
+    """
     wide = np.clip(np.concatenate([spans_of(), *spans]) + np.array([-within, within]), 0, n_samples)
     wide = wide[np.argsort(wide[:, 0], kind="stable")]
     ends = np.maximum.accumulate(wide[:, 1])
@@ -67,9 +70,10 @@ def joined(spans: Sequence[Ints], *, within: int = 0, n_samples: int) -> Ints:
 
 @dataclass(frozen=True, slots=True)
 class SignalFault:
-    """``flag``, ``severity`` and ``detail`` as a quality flag has them; ``at`` the spans of samples, none: all of them.
+    """A fault of a signal: ``flag``, ``severity`` and ``detail`` are those of a quality flag.
 
-    ``is_lost``: these samples say nothing of the machine and take no part in any average.
+    ``at`` (spans, 2) are the first sample of each span and the one after its last; empty for the whole signal.
+    ``is_lost`` says that these samples tell nothing of the machine and take no part in any average.
     """
 
     flag: str
@@ -95,11 +99,10 @@ class _Range:
 
 
 def mend_signal(signal: FloatArray, *, settings: IngestSettings) -> list[SignalFault]:
-    """Faults of ``signal``, shape (sample,), whose missing samples are bridged in place where they are few in a row.
+    """Faults of ``signal`` (samples,), whose missing samples are bridged in place where they are few in a row.
 
-    Samples of a longer gap become NaN, whatever stood there. ``settings`` say how many missing samples are few and what
-    counts as clipping. Where more would be bridged
-    than the spectrum bears, or more are missing than leave a channel to speak of, all of it is lost.
+    Samples of a longer gap become NaN. ``settings`` say how many missing samples are few and what counts as clipping.
+    The whole signal is lost where more samples would be bridged than the spectrum bears, or too many are missing.
     """
     known = _range_of(signal)
     flags: list[SignalFault] = []
@@ -316,10 +319,11 @@ def _is_cut_off(signal: FloatArray, extreme: float, flat: Ints, step: float) -> 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What short blocks of a signal hold: arrays (block,), NaN where a sample is missing.
+    """Statistics of short blocks of a signal, each array (blocks,), NaN where a sample is missing.
 
-    ``size`` samples lie in each block; what is left over at the end takes no part. ``variances`` are about the mean of
-    the block. A bend is how far a sample lies from the mean of its two neighbours: its mean square and fourth power.
+    ``size`` samples lie in each block; the rest at the end takes no part. ``means`` and ``variances`` are those of the
+    block. A bend is the distance of a sample from the mean of its two neighbours: ``bend_squares`` and ``bend_fourths``
+    are the means of its square and fourth power.
     """
 
     size: int
@@ -331,7 +335,10 @@ class Survey:
 
 
 def block_size(rate_hz: float) -> int:
-    """Samples per block: a power of two, so few at ``rate_hz`` that the means show twice mains."""
+    """Samples per block: a power of two, small enough at ``rate_hz`` for the means to show twice the mains frequency.
+
+    16 where the rate is not known.
+    """
     if not (math.isfinite(rate_hz) and rate_hz > 0.0):
         return 16
     wanted = 1 << math.floor(math.log2(max(rate_hz / _BLOCKS_PER_S, 1.0)))
@@ -339,14 +346,14 @@ def block_size(rate_hz: float) -> int:
 
 
 def survey(signal: FloatArray, *, size: int) -> Survey:
-    """Survey of ``signal`` (sample,) in blocks of ``size`` samples, each read once."""
+    """Survey of ``signal`` (samples,) in blocks of ``size`` samples, each read once."""
     told = np.empty((4, signal.size // size))
     _look(signal, size, told)
     return Survey(size, signal.size, *told)
 
 
 def grouped(values: Floats, group: int) -> Floats:
-    """Means of ``group`` neighbours of ``values`` at a time; what is left over at the end takes no part."""
+    """Means (values // group,) of ``values`` (values,) over ``group`` neighbours at a time; a rest is left out."""
     whole = len(values) // group * group
     means: Floats = values[:whole].reshape(-1, group).mean(axis=1)
     return means
@@ -379,7 +386,7 @@ def _look(signal, size, told):  # type: ignore[no-untyped-def]
 
 
 def root_mean_square(survey: Survey) -> float:
-    """Root mean square of the signal of ``survey``, NaN where too much is missing."""
+    """Root mean square of the signal of ``survey``, in its unit; NaN where too much is missing."""
     square = float(survey.means.var()) + float(survey.variances.mean())
     if math.isfinite(square):
         return math.sqrt(square)
@@ -390,7 +397,10 @@ def root_mean_square(survey: Survey) -> float:
 
 
 def find_slow_faults(survey: Survey, *, settings: IngestSettings) -> list[SignalFault]:
-    """Overloads, a settling start and drift of the signal of ``survey`` by ``settings``, each with its samples."""
+    """Faults of the signal of ``survey``: overloads, a settling start and drift, each with its samples.
+
+    ``settings`` say what counts as one.
+    """
     group = max(len(survey.means) // _GROUPS, 1)
     means, step = grouped(survey.means, group), group * survey.size
     if len(means) < _FEWEST or not np.isfinite(means).all():

@@ -66,16 +66,23 @@ class Contrasts:
 
 
 def whitening(begin_rev: Floats, *, revs_per_frame: float) -> Floats:
-    """What makes white noise white again (frames, frames) in Hann frames of a recording that overlap.
+    """Matrix (frames, frames) that makes white noise independent again in overlapping Hann frames of a recording.
 
-    ``begin_rev`` (frames,) is where each begins, ``revs_per_frame`` how long it is.
+    It is the inverse of the Cholesky factor of the frames' correlation.
+
+    Parameters
+    ----------
+    begin_rev : (frames,), rev, crank angle at which each frame begins
+    revs_per_frame : length of a frame, rev, above 0
     """
     shared = _alike(np.abs(begin_rev[:, None] - begin_rev) / revs_per_frame, "hann")
     return np.asarray(np.linalg.inv(np.linalg.cholesky(shared + 1e-9 * np.eye(len(begin_rev)))))
 
 
 def neighbour_correlation(begin_rev: Floats, recording: Ints, *, revs_per_frame: float, window: str) -> Floats:
-    """Correlation of white noise in each frame and itself, the next … (lags, frames), as far as frames overlap.
+    """Correlation (lags, frames), 0 to 1, of white noise in each frame with itself, the next and so on.
+
+    There are as many lags as frames overlap; lag 0 is 1.
 
     Parameters
     ----------
@@ -104,7 +111,7 @@ def _alike(apart: Floats, window: str) -> Floats:
 
 
 def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
-    """Slow waves over frames: what they show of a line's bin is the spectrum of the noise right beside the line.
+    """Contrasts by slow waves over the frames: they show the spectrum of the noise right beside a line.
 
     The mean of the frames is a spectrum of all of them at the line, far finer than that of one; a wave of j cycles
     over the frames is that spectrum j of its bins away, where a steady line shows nothing.
@@ -112,7 +119,7 @@ def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
     Parameters
     ----------
     correlation : (lags, frames), that of :func:`neighbour_correlation`
-    trend : (frames,), speed of the frames, whose linear influence is no noise; None where all are alike
+    trend : (frames,), rpm, speed of the frames, whose linear influence is no noise; None where all are alike
     """
     n = correlation.shape[1]
     given = [np.ones(n)] if trend is None else [np.ones(n), trend - trend.mean()]
@@ -151,11 +158,11 @@ def noise_of_mean(spectrum: Complexes, shape: Contrasts) -> Floats:
 
 
 def independent_by_memory(scatter: Complexes, owner: Ints, count: Ints) -> Floats:
-    """Independent complex spectra (channels, orders) that frames are worth, for their memory of one another.
+    """Number (channels, orders) of independent complex spectra that frames are worth, as neighbours correlate.
 
-    The scatter of a frame correlates with the next one's by their overlap and, where noise excites a resonance, by its
-    decay: (1 - r) / (1 + r) of all frames are independent for a first-order memory r, from whose square the 1 / count
-    that chance adds is taken off.
+    The scatter of a frame correlates with that of the next one through their overlap and, where noise excites a
+    resonance, its decay: (1 - r) / (1 + r) of all frames are independent for a first-order correlation r, from whose
+    square the 1 / count that chance adds is subtracted.
 
     Parameters
     ----------
@@ -177,10 +184,10 @@ def independent_by_memory(scatter: Complexes, owner: Ints, count: Ints) -> Float
 
 
 def beside_bins(order: Floats, *, line_step: float, count: int = BESIDE_BINS) -> tuple[Ints, Floats]:
-    """Indices (orders, ``count``) of the nearest bins that hold noise, and how many independent ones they are worth.
+    """Indices (orders, count) of the nearest bins that hold noise, and how many independent ones (orders,) they are.
 
-    ``order`` (orders,) is the axis; bins within one of a multiple of ``line_step`` may hold lines and are left out
-    where enough others are left, those within one of the bin itself and of zero always.
+    ``order`` (orders,) is the axis, ``count`` the number of bins wanted; bins within one of a multiple of ``line_step``
+    may hold lines and are left out where enough others are left, those within one of the bin itself and of zero always.
     """
     return _beside_bins(tuple(order.tolist()), line_step, count)
 
@@ -208,7 +215,7 @@ def noise_beside(energy: Floats, bins: Ints) -> Floats:
 
 
 def median_of_known(values: Floats, *, axis: int) -> Floats:
-    """Median of ``values`` along ``axis`` of what is known; NaN where nothing is."""
+    """Median of the known ``values`` (any shape) along ``axis``, which the result lacks; NaN where none is known."""
     ordered = np.sort(values, axis=axis)
     count = np.count_nonzero(~np.isnan(ordered), axis=axis)
     low = np.expand_dims(np.maximum(count - 1, 0) // 2, axis)
@@ -218,25 +225,34 @@ def median_of_known(values: Floats, *, axis: int) -> Floats:
 
 
 def cycle_bins(frames: xr.Dataset) -> Ints:
-    """Bins of the multiples of the cycle's order in the OrderFrames ``frames``, which hold two orders or more."""
+    """Bins (multiples,) of the multiples of the cycle's order in the OrderFrames ``frames``, without order 0.
+
+    ``frames`` hold two orders or more.
+    """
     order, step = frames["order"].values, 1.0 / int(frames.attrs["revs_per_cycle"])
     per_order = 1.0 / float(order[1] - order[0])
     return np.asarray(np.rint(np.arange(1.0, np.floor(order[-1] / step) + 1.0) * step * per_order).astype(np.int64))
 
 
 def median_beside(power: Floats, half: int) -> Floats:
-    """Median of ``power`` (bins,) over ``half`` bins on each side of each bin."""
+    """Median (bins,) of ``power`` (bins,) over each bin and ``half`` bins on each side; mirrored at the ends."""
     beside = np.lib.stride_tricks.sliding_window_view(np.pad(power, half, mode="reflect"), 2 * half + 1)
     return np.asarray(np.median(beside, axis=-1))
 
 
 def noise_under(level: Floats, energy: Floats, bins: Ints, at: float, independent: Floats) -> tuple[Floats, Floats]:
-    """Noise power (…,) under a line ``at`` a bin, and by how much (a standard error) its shape leaves that open.
+    """Noise power (…,) under a line and its standard error (…,) from the unknown shape of the noise.
 
-    ``energy`` (…, orders), without what the line leaks, is the mean of ``independent`` (…,) frames, ``bins``
-    (several,), rising, hold noise, ``level`` (…,) is the mean of that. Where the bins beside rise towards the line, or
-    across it, by more than chance, the noise is that of the nearest ones, carried on as a parabola of its logarithm:
-    the mean of all would take the noise of a resonance for the line's.
+    Where the bins beside rise towards the line, or across it, by more than chance, the noise is that of the nearest
+    ones, carried on as a parabola of its logarithm: the mean of all would take the noise of a resonance for the line's.
+
+    Parameters
+    ----------
+    level : (…,), mean noise power of the ``bins``
+    energy : (…, orders), mean power of the frames without what the line leaks
+    bins : (several,), rising, bins that hold noise; fewer than two on one side give ``level`` and 0
+    at : bin of the line, with fractions
+    independent : (…,), independent frames that ``energy`` is the mean of
     """
     below, above = bins[bins < at], bins[bins > at]
     if min(len(below), len(above)) < 2:
@@ -260,10 +276,10 @@ def noise_under(level: Floats, energy: Floats, bins: Ints, at: float, independen
 
 
 def steepest_noise_beside(energy: Floats, bins: Ints) -> Floats:
-    """Noise power (…, orders) as of :func:`noise_beside`, of the larger side alone where the noise slopes.
+    """Noise power (…, orders) as in :func:`noise_beside`, but of the larger side only where the noise slopes.
 
-    ``energy`` (…, orders) of a frame in ``bins`` (orders, several) that grow. A line on the flank of a resonance lies
-    in more noise than the mean of both sides.
+    ``energy`` (…, orders) is that of a frame, ``bins`` (orders, several) are rising. A line on the flank of a resonance
+    lies in more noise than the mean of both sides.
     """
     beside, noise = _noise_bins(energy, bins)
     half = bins.shape[1] // 2
@@ -285,7 +301,7 @@ def _noise_bins(energy: Floats, bins: Ints) -> tuple[Floats, Bools]:
 def helped_by_beside(
     noise: Floats, own: Floats, energy: Floats, powers: Floats, *, bins: Ints, worth: Floats
 ) -> tuple[Floats, Floats]:
-    """``noise`` power of a frame and its complex degrees of freedom; where ``own`` are few, with the bins beside.
+    """Noise power of a frame and its complex degrees of freedom, both (…, orders); few ``own`` ones join bins beside.
 
     Parameters
     ----------
@@ -308,9 +324,10 @@ def helped_by_beside(
 
 @dataclass(frozen=True)
 class HeldSizes:
-    """Amplitudes (channels, frames) of a line in the frames of one recording whose speed is held, in ``row`` of a map.
+    """Amplitudes of a line in the frames of one recording whose speed is held.
 
-    The line keeps no phase, so that each frame tells its amplitude only.
+    ``row`` is its row of the map, ``sizes`` (channels, frames) the amplitudes. The line keeps no phase, so that each
+    frame tells its amplitude only.
     """
 
     row: int
@@ -323,7 +340,10 @@ class HeldSizes:
 
 @dataclass(frozen=True)
 class SizeRows:
-    """Amplitudes (channels, rows) of a line with their standard errors, degrees of freedom and interval's ends."""
+    """Amplitudes of a line, each field (channels, rows): ``amplitude``, its standard ``error`` and ``dof``, interval.
+
+    ``dof`` are the degrees of freedom of ``error``; ``low`` and ``high`` are the ends of the 95 % interval.
+    """
 
     amplitude: Floats
     error: Floats
@@ -332,11 +352,16 @@ class SizeRows:
     high: Floats
 
     def with_scatter(self, held: list[HeldSizes], *, noise: Floats, independent: Floats) -> SizeRows:
-        """The same, as wide as recordings and frames differ.
+        """These rows with intervals wide enough for the differences of recordings and frames.
 
-        Recordings of one row differ by a factor, that of their mean has one degree of freedom less than they are. Where
-        the amplitude surely changes within recordings, beyond what ``noise`` (channels, rows) of a frame does that
-        ``independent`` bins (rows,) tell, the interval holds all that frames held.
+        Recordings of one row differ by a factor; its error has one degree of freedom less than there are recordings.
+        Where the amplitude surely changes within recordings, the interval reaches over all values of the frames.
+
+        Parameters
+        ----------
+        held : amplitudes of the frames by recording
+        noise : (channels, rows), noise power of a frame
+        independent : (rows,), independent bins from which ``noise`` is known
         """
         error, dof, low, high = (values.copy() for values in (self.error, self.dof, self.low, self.high))
         for row in sorted({part.row for part in held}):

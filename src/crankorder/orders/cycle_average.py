@@ -75,17 +75,15 @@ def cycle_average(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSetting
 
     Parameters
     ----------
-    band : BandRecording, by time or by crank angle
-    shaft : its ShaftAngle; a cycle is its ``revs_per_cycle``: 720 degrees of a four-stroke engine
+    band : BandRecording (channel, time or crank_angle)
+    shaft : its ShaftAngle (time); a cycle is its ``revs_per_cycle``: 720 degrees of a four-stroke engine
     settings : of orders. ``max_order`` is the highest order that the waveforms hold whole (above it they fade until
         twice that), ``speed_bin_rpm`` the width of a group of cycles, ``tolerance`` what resampling may add
 
-    Returns
-    -------
-    CycleAverage. Whole cycles only, in a run-up without the first and the last; one that a gap reaches is left out of
-    its channel and counted. Angle 0 is the (firing, where ``cycle_known``) top dead centre, or whatever
-    ``phase_reference`` says. The standard error follows from the slow part of the cycles' scatter: cycles that resemble
-    the next beyond the mean count for fewer.
+    Returns ------- CycleAverage (channel, speed, cycle_angle). Only whole cycles count, in a run-up without the first
+    and the last; a cycle that a gap reaches is left out of its channel and counted. Angle 0 is the (firing, where
+    ``cycle_known``) top dead centre, or whatever ``phase_reference`` says. The standard error follows from the slow
+    part of the cycles' scatter: cycles that resemble the next beyond the mean count for fewer.
 
     Raises InputError where not even one cycle was recorded.
     """
@@ -275,10 +273,11 @@ def _gap_flags(made: xr.Dataset) -> list[QualityFlag]:
 def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
     """CycleAverage of a test from those of its recordings, joined where their speeds are within ``speed_bin_rpm``.
 
-    ``items`` are CycleAverages of :func:`cycle_average` with one list of channels and one grid of angles. What is
-    joined counts by its cycles; the standard error grows where recordings differ by more than their own errors say
-    (Birge 1932). Recordings whose angle 0 is not known to be the same (no mark, or a four-stroke cycle that may begin
-    at either top dead centre) are not joined: of those at like speed the one with most cycles is kept.
+    ``items`` are CycleAverages (channel, speed, cycle_angle) of :func:`cycle_average` with one list of channels and one
+    grid of angles. Recordings count by their cycles; the standard error grows where recordings differ by more than
+    their own errors say (Birge 1932). Recordings whose angle 0 is not known to be the same (no mark, or a four-stroke
+    cycle that may begin at either top dead centre) are not joined: of those at like speed the one with most cycles is
+    kept.
     """
     speed = np.concatenate([item["speed"].values for item in items])
     place = [(item, row) for item in items for row in range(item.sizes["speed"])]

@@ -71,17 +71,21 @@ _OF_CHANNEL = ("level", "band_low", "band_high", "n_independent")
 
 
 class Stretch(NamedTuple):
-    """Ends of the steps of crank angle of a piece, in samples, and the steps at which its frames begin."""
+    """Steps of crank angle of a piece: ``edges`` (steps + 1,) in samples, with fractions, and ``begins`` (frames,).
+
+    ``begins`` are the numbers of the steps at which the frames begin.
+    """
 
     edges: Floats
     begins: Ints
 
 
 class Grid(NamedTuple):
-    """Frames of envelopes, ``revs`` long in ``steps`` to a revolution, where they lie in each piece, their transform.
+    """Frames of envelopes, ``revs`` long with ``steps`` per revolution, where they lie in each piece, their transform.
 
-    ``reach_hz`` is the highest frequency of the highest order; ``n_independent`` the independent power spectra that all
-    frames are worth; ``rate_hz`` and ``mean_hz`` samples and turns a second, ``revs_per_cycle`` turns of a cycle.
+    ``reach_hz`` is the highest frequency of the highest order, ``n_independent`` the number of independent power
+    spectra that all frames are worth; ``rate_hz`` and ``mean_hz`` are samples and revolutions per second,
+    ``revs_per_cycle`` revolutions per engine cycle.
     """
 
     revs: int
@@ -101,7 +105,10 @@ class Grid(NamedTuple):
 
 
 class Spectra(NamedTuple):
-    """Power (bands, orders) of envelopes' lines, mean square of the first of them, and how many frames were used."""
+    """Spectra of envelopes: ``power`` (bands, orders) of their lines, ``level`` of the first, ``used`` frames.
+
+    ``level`` is the mean square of the envelope in the first band.
+    """
 
     power: Floats
     level: float
@@ -109,10 +116,11 @@ class Spectra(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """The band chosen for a channel: power of its envelope's lines and the floor beneath (orders,), and its mean.
+    """The ``band`` chosen for a channel: ``power`` (orders,) of its envelope's lines and the ``floor`` (orders,).
 
-    ``looks`` (3, bands, looks): in every band, at the bins where strikes are looked for, the power over the skirts of
-    other lines, that over the local floor, and the root of this floor; ``share`` of the frames that were used.
+    ``mean_square`` is that of the envelope. ``looks`` (3, bands, looks) are, in every band and at the bins where
+    strikes are looked for, the power over the skirts of other lines, that over the local floor, and the root of this
+    floor. ``share`` is the share of the frames that were used, 0 to 1.
     """
 
     band: Band
@@ -137,8 +145,8 @@ def recording_envelope(
     envelope's line: of strikes it grows as they do, whatever noise they stand in. At most
     ``settings.envelope_longest_s`` are analysed, in pieces spread over the recording (``analysed_s``).
 
-    Without orders, and flagged "no_envelope_band", where the sampling leaves no room above ``max_order``, the speed is
-    not known, less than eight revolutions were recorded or the recording is by crank angle.
+    The result has no orders, and the flag "no_envelope_band", where the sampling leaves no room above ``max_order``,
+    the speed is not known, fewer than eight revolutions were recorded or the recording is by crank angle.
     """
     bands, pieces, reason = _bands_and_pieces(recording, shaft, settings)
     if reason:

@@ -54,10 +54,10 @@ Bands = tuple[Band, ...]
 
 
 class Envelopes(NamedTuple):
-    """Mean squared envelopes (bands, angles) of the bands by crank angle, as multiples of ``unit``, and bad samples.
+    """Mean squared envelopes of the bands by crank angle: ``squared`` (bands, angles), in multiples of ``unit``.
 
-    ``rate_hz`` is how often a second the envelope was known: it holds from each sample to the next. Each row of ``bad``
-    (k, 2) is the first sample and the one after the last that a gap reaches, filters included.
+    ``rate_hz`` is the sample rate of the envelope, which holds from each sample to the next. Each row of ``bad``
+    (gaps, 2) is the first sample and the one after the last that a gap reaches, filters included.
     """
 
     squared: NDArray[np.float32]
@@ -67,9 +67,9 @@ class Envelopes(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Spectra (blocks, bins) of a signal's blocks, of which each gives the samples from its ``firsts`` on.
+    """``spectra`` (blocks, bins) of the blocks of a signal; each block gives the samples from its ``firsts`` on.
 
-    ``unit`` is what their squares are multiples of; ``bad`` as in :class:`Envelopes`.
+    The squares of ``spectra`` are multiples of ``unit``; ``bad`` (gaps, 2) is that of :class:`Envelopes`.
     """
 
     firsts: range
@@ -81,8 +81,9 @@ class Blocks(NamedTuple):
 def band_tree(low_hz: float, high_hz: float, *, least_width_hz: float) -> tuple[Band, ...]:
     """Bands between ``low_hz`` and ``high_hz``, cut into 1, 2, 4, 8, 16 equal ones as long as they stay wide enough.
 
-    ``least_width_hz``: a narrower band cannot follow the highest order of its envelope. Empty where even the whole
-    range is narrower. Of the narrowest, one more begins half way up each: what rings at a border is in its middle.
+    A band narrower than ``least_width_hz`` cannot follow the highest order of its envelope; the result is empty where
+    even the whole range is narrower. Among the narrowest bands one more begins in the middle of each, so that a
+    resonance at a border lies in the middle of a band.
     Source: J. Antoni (2007), Mechanical Systems and Signal Processing 21, p. 108 (binary tree).
     """
     levels = [level for level in TREE_LEVELS if high_hz - low_hz >= level * least_width_hz > 0.0]
@@ -95,7 +96,10 @@ def band_tree(low_hz: float, high_hz: float, *, least_width_hz: float) -> tuple[
 
 
 def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> Blocks:
-    """Spectra of the overlapping blocks of ``signal`` (samples,) from the sample ``begin`` to the sample ``end``."""
+    """Spectra of the overlapping blocks of ``signal`` (samples,) from the sample ``begin`` to the sample ``end``.
+
+    ``begin`` and ``end`` are sample numbers, with fractions.
+    """
     # plan of this thread for the transform of a block of real samples
     if "forward" not in _of_thread.__dict__:
         _of_thread.forward = forward((BLOCK_SAMPLES,), np.float32)
@@ -138,19 +142,19 @@ def without_tones(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
 def envelopes_of(
     blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: Floats, reach_hz: float, toneless: bool = False
 ) -> Envelopes:
-    """Mean of the squared envelope of each of ``bands`` between neighbouring ``edges``, of the signal squared.
+    """Mean squared envelopes (bands, angles) of ``bands`` between neighbouring ``edges``.
 
     The envelope is that of the analytic signal of the band, as a staircase of ``rate_hz``; its mean over each step is
     exact. A line of it at the frequency f thus loses sinc(f / rate_hz) sinc(order / steps per revolution).
 
     Parameters
     ----------
-    blocks : of the signal, from the first of the edges to the last
+    blocks : blocks of the signal, from the first of the edges to the last
     rate_hz : samples per second
-    bands : as wide as each other and as far apart, of a level of :func:`band_tree`
+    bands : bands of one level of :func:`band_tree`: equally wide and equally spaced
     edges : (angles + 1,), increasing positions in samples (with fractions) where the steps of crank angle end
-    reach_hz : highest frequency of the envelope that must be free of what folds
-    toneless : whether tones are taken out first, as :func:`without_tones` does
+    reach_hz : highest frequency of the envelope that must be free of aliases
+    toneless : whether tones are removed first by :func:`without_tones`
     """
     squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float32)
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
@@ -256,7 +260,7 @@ def _gather(waves, edges, weight, out, row, column):  # type: ignore[no-untyped-
 
 
 def middles(pieces: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Medians of the last axis of ``pieces``; of such short ones, many at a time, a sort is the fastest way."""
+    """Medians (…,) of ``pieces`` (…, several) along the last axis; of many short ones a sort is the fastest way."""
     ordered = np.sort(pieces, axis=-1)
     half = ordered.shape[-1] // 2
     made: NDArray[np.floating] = ordered[..., half]

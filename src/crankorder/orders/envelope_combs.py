@@ -76,10 +76,11 @@ _OF_COMB = {"units": "1", "long_name": "strikes that are looked for"}
 
 
 def best_band(height: Floats) -> int:
-    """Band in whose envelope most stands out, by the ``height`` (bands,) of it; bands come widest first.
+    """Index of the band in whose envelope a line stands out most; bands come widest first.
 
-    Of a line that stands out clearly a wider band is taken that shows it half as well: it holds more of the resonance,
-    and the amplitude then depends less on which band the noise lets win.
+    ``height`` (bands,) is the power of the highest line over its floor in each band. Where a line stands out clearly a
+    wider band is taken that shows it half as well: it holds more of the resonance, and the amplitude depends less on
+    the noise.
     """
     best = int(np.argmax(height))
     if height[best] < CLEAR_RATIO:
@@ -88,7 +89,10 @@ def best_band(height: Floats) -> int:
 
 
 def off_mains(order: Floats, *, speed_hz: float, cell: float) -> Bools:
-    """Which ``order`` (orders,) is, at ``speed_hz``, none at which multiples of the mains beat; ``cell`` in orders."""
+    """Which of ``order`` (orders,) are none at which multiples of the mains frequency beat, at ``speed_hz``.
+
+    ``speed_hz`` is in revolutions per second, ``cell`` the resolution in orders.
+    """
     made = np.ones(len(order), dtype=np.bool_)
     for mains_hz in MAINS_HZ:
         spacing = mains_hz / speed_hz
@@ -98,16 +102,20 @@ def off_mains(order: Floats, *, speed_hz: float, cell: float) -> Bools:
 
 
 def free_of_others(order: Floats, *, revs_per_cycle: int, speed_hz: float, cell: float) -> Bools:
-    """At which ``order`` (orders,) strikes can be told from what is locked to the engine's cycle and from mains.
+    """At which ``order`` (orders,) strikes can be told from lines locked to the engine's cycle and from mains.
 
-    ``revs_per_cycle`` of the engine, one or two; ``speed_hz``: turns a second; ``cell``: resolution in orders.
+    ``revs_per_cycle`` are the revolutions per engine cycle, 1 or 2; ``speed_hz`` is in revolutions per second, ``cell``
+    the resolution in orders.
     """
     off_cycle = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
     return np.asarray(off_cycle > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
 
 
 def floor_worth(step: float, cell: float) -> float:
-    """Independent bins that the floor of a spectrum is worth, with bins ``step`` apart and a resolution of ``cell``."""
+    """Independent bins that the floor of a spectrum is worth.
+
+    ``step`` is the distance of the bins and ``cell`` the resolution, both in orders.
+    """
     return max(round(FLOOR_ORDERS / step), 8) * FLOOR_WORTH * step / cell
 
 
@@ -143,7 +151,7 @@ class Comb(NamedTuple):
 
     @property
     def is_slow(self) -> bool:
-        """Whether it strikes less than once a turn."""
+        """Whether it strikes less than once per revolution."""
         return self.high < SLOW_ORDER
 
     @property
@@ -263,7 +271,10 @@ def _fisher(total: Floats, lines: Ints) -> Floats:
 
 
 def over_skirts(ratio: NDArray[np.floating]) -> Floats:
-    """``ratio`` (rows, orders) over the median of the bins about each where that is higher: on a skirt no line is."""
+    """``ratio`` (rows, orders), divided by the median of the bins about each where that is above 1.
+
+    The skirt of a strong line thus shows no lines of its own.
+    """
     pieces = ratio.shape[1] // SKIRT_BINS
     middle = middles(ratio[:, : pieces * SKIRT_BINS].reshape(len(ratio), pieces, SKIRT_BINS))
     high = np.repeat(np.maximum(middle, 1.0), SKIRT_BINS, axis=1)
@@ -291,13 +302,13 @@ def looks_of(combs: Combs, bands: Bands, *, order: Floats, looks: NDArray[np.flo
 
 
 def comb_variables(combs: Combs) -> Variables:
-    """``combs`` as variables of a dataset."""
+    """``combs`` as variables ``comb_…`` (comb,) of a dataset."""
     columns = np.array(combs, dtype=np.float64).reshape(-1, len(Comb._fields)).T
     return {f"comb_{name}": (("comb",), column, _OF_COMB) for name, column in zip(Comb._fields, columns, strict=True)}
 
 
 def combs_in(dataset: xr.Dataset) -> Combs:
-    """Combs that ``dataset`` holds; none where it has none."""
+    """Combs that ``dataset``, a RecordingEnvelope or EnvelopeMap (``comb_…`` by comb), holds; empty where none."""
     if "comb_low" not in dataset:
         return ()
     columns = [dataset.variables[f"comb_{name}"].values.tolist() for name in Comb._fields]
@@ -305,10 +316,11 @@ def combs_in(dataset: xr.Dataset) -> Combs:
 
 
 def joined_looks(groups: list[list[xr.Dataset]]) -> Variables:
-    """Variables of an EnvelopeMap: for each comb its lines in the one band that serves it best in the whole test.
+    """Variables (comb, channel, speed, look) of an EnvelopeMap: the lines of each comb in the band that serves it best.
 
-    ``groups`` are the RecordingEnvelopes of like speed; empty where one of them was made without combs, or with
-    others. Bands of other recordings are those nearest to the bands of the first one of the most.
+    The band is one for the whole test. ``groups`` are lists of RecordingEnvelopes (channel, speed, order) of like
+    speed. The result is empty where one of them was made without combs, or with others. In other recordings the bands
+    nearest to those of the first recording with most bands are taken.
     """
     items = [item for group in groups for item in group]
     combs = combs_in(items[0])

@@ -43,9 +43,9 @@ recording between the courses that hold it, and how many there are on each side 
 
 @dataclass(frozen=True, eq=False)
 class FixedLine:
-    """A line of one frequency of a test, and its standard error, Hz: what it is called, and its amplitude by channel.
+    """A line of one frequency of a test, with its standard error, both in Hz, its ``name`` and amplitude by channel.
 
-    ``amplitude`` holds peak and standard error, over the speeds, where no order was near.
+    ``amplitude`` holds the peak and its standard error over those speeds at which no order was near.
     """
 
     frequency_hz: float
@@ -60,7 +60,7 @@ class FixedLine:
 
 
 def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
-    """The lines of one frequency that ``findings`` name, with their amplitudes in all channels."""
+    """The lines that stay at one frequency in ``findings``, with their amplitudes by channel."""
     found: dict[float, FixedLine] = {}
     for one in findings.lines:
         ends, size = one.frequency_hz_ci95, one.amplitude_ci95
@@ -76,9 +76,11 @@ def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
 
 
 class OrderRows(NamedTuple):
-    """One order in all channels by row: peak amplitude, phase [degree], standard error, degrees of freedom, 95 % ends.
+    """One order in all channels by row, each field (channels, rows); NaN (0 degrees of freedom) where it is not known.
 
-    Each (channels, rows), NaN (0 degrees of freedom) where nothing is known; the phase where there is no mark.
+    ``amplitude`` is the peak, ``phase`` in degrees is NaN where there is no mark either, ``standard_error`` that of the
+    amplitude with its ``degrees_of_freedom``; ``amplitude_low`` and ``amplitude_high`` are the ends of the 95 %
+    interval, ``phase_ci95`` in degrees the half width of that of the phase.
     """
 
     amplitude: Floats
@@ -91,7 +93,7 @@ class OrderRows(NamedTuple):
 
     @classmethod
     def nothing(cls, n_channels: int, n_rows: int) -> OrderRows:
-        """Rows in which nothing is known: ``n_rows`` of them in ``n_channels`` channels."""
+        """Rows (``n_channels``, ``n_rows``) in which nothing is known."""
         rows = np.full((len(cls._fields), n_channels, n_rows), np.nan)
         return cls(*rows)._replace(degrees_of_freedom=np.zeros((n_channels, n_rows)))
 
@@ -117,13 +119,14 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class PartedRow:
-    """One ``row`` of an ``order`` by itself, (channels,) each: complex amplitude ``value`` about angle 0, and errors.
+    """One ``row`` of an ``order`` separated from the lines beside it, each array (channels,) unless stated.
 
-    ``power`` is that of the noise, of ``freedom`` degrees; ``slack`` (3, channels) what the value may have taken of the
-    lines beside, along and across it, as numbers are off, and what none of them explains, which is the order's own
-    where it ``wanders``. ``doubt`` is the largest that the others, among them the fixed ``lines``, may add to what is
-    not parted from them; ``beats``: as often with close orders as parts them; ``by_noise`` the error of the mean of the
-    frames by noise alone; ``angle`` the errors of the crank angle.
+    ``value`` is the complex amplitude with the phase at angle 0, ``power`` that of the noise with ``freedom`` degrees
+    of freedom. ``slack`` (3, channels) is what the value may have taken from the lines beside, along and across it,
+    where their numbers are wrong, and what no line explains; the latter belongs to the order where it ``wanders``.
+    ``doubt`` is the most that other lines, the fixed ``lines`` among them, may add to an order that is not separated
+    from them. ``beats`` says whether the order beats with close orders often enough to be separated, ``by_noise`` is
+    the error of the mean of the frames from noise alone, ``angle`` the errors of the crank angle.
     """
 
     row: int
@@ -158,12 +161,19 @@ class PartedRow:
 def parted_rows(
     stretches: Sequence[Stretch], orders: Floats, exact: Bools, apart: Sequence[float], fixed: Sequence[FixedLine]
 ) -> list[PartedRow]:
-    """What the ``stretches`` of a test hold of the first of ``orders`` (lines,), by row.
+    """The first of ``orders`` in the ``stretches`` of a test, separated from the lines beside it, by row.
 
-    The other orders are close to it; those so far ``apart`` that a frame parts them, and the ``fixed`` lines that it
-    meets, are solved with them. By how much numbers that are not ``exact`` (lines,) may be off is told by all stretches
-    together, and by each where it surely says otherwise. Where the first line alone is not exact, power which none
-    explains is its own.
+    All lines are solved together. How wrong the numbers of inexact lines may be follows from all stretches together,
+    and from a single one where it surely says otherwise. Where only the first line is inexact, power that no line
+    explains belongs to it.
+
+    Parameters
+    ----------
+    stretches : frames of the recordings, by row of the map
+    orders : (lines,), cycles per revolution: the order to read, then those close to it
+    exact : (lines,), whether the number of each is exact
+    apart : orders that a frame already separates from the first one
+    fixed : lines of one frequency, of which those count that the order meets
     """
     solved = []
     for stretch in stretches:
@@ -265,11 +275,11 @@ def _joined(parts: Sequence[PartedRow]) -> PartedRow:
 
 
 def with_parted(rows: OrderRows, speed_rpm: Floats, parted: Sequence[PartedRow]) -> OrderRows:
-    """``rows`` of an order at ``speed_rpm`` (rows,), those that are ``parted`` from lines beside apart from these.
+    """``rows`` of an order at ``speed_rpm`` (rows,), with those in ``parted`` separated from the lines beside.
 
-    Where the recordings tell them apart the row is what the order is by itself. Where they do not, the interval holds
-    whatever the lines may add or take; the amplitude is that of the speeds beside if the lines explain the difference,
-    and stays what it is where they are too small for that.
+    Where the recordings tell the lines apart, a row holds the order by itself. Where they do not, the interval covers
+    all that the lines may add or take; the amplitude is that of the neighbouring speeds if the lines explain the
+    difference, and stays as it is where they are too small for that.
     """
     made = OrderRows(*map(np.copy, rows))
     is_open = np.zeros(made.amplitude.shape, dtype=bool)
@@ -322,7 +332,7 @@ PADDED = 8
 
 @dataclass(frozen=True)
 class SteadyLine:
-    """A line Re(``amplitude`` exp(2πi ``frequency_hz`` t)) (channels,), t from the first sample."""
+    """A line Re(``amplitude`` exp(2πi ``frequency_hz`` t)), t [s] from the first sample; ``amplitude`` (channels,)."""
 
     frequency_hz: float
     amplitude: Complexes
@@ -331,11 +341,11 @@ class SteadyLine:
 def without_steady_lines(
     band: xr.Dataset, course: SpeedCourse, orders: Floats, *, mains_hz: Sequence[float] = ()
 ) -> tuple[xr.Dataset, tuple[SteadyLine, ...]]:
-    """``band`` (BandRecording by time) less its steady lines, and these.
+    """``band`` (BandRecording by time) without its steady lines, and these lines.
 
     ``course`` is the speed of its shaft; the stretches in which one of ``orders`` (orders,) passes a line tell nothing
-    of it. A line has one amplitude and one phase through all others; what a mode rings, or an order that hardly moves,
-    does not. Lines are looked for about multiples of ``mains_hz`` and at the highest peaks.
+    of it. Through all other stretches a line has one amplitude and one phase; a ringing mode, or an order that hardly
+    moves, has not. Lines are looked for about multiples of ``mains_hz`` and at the highest peaks.
     """
     signals, rate = band["signal"].values, float(band.attrs["rate_hz"])
     time = float(band.attrs.get("start_s", 0.0)) + np.arange(signals.shape[1]) / rate
@@ -361,7 +371,7 @@ def without_steady_lines(
 
 
 def steady_flag(recording: str, lines: tuple[SteadyLine, ...]) -> QualityFlag:
-    """What is said of the ``lines`` that were taken out of a ``recording``."""
+    """Quality flag on the ``lines`` that were taken out of a ``recording``."""
     named = ", ".join(f"{one.frequency_hz:.2f} Hz ({np.abs(one.amplitude).max():.3g})" for one in lines)
     detail = (
         f"lines of one frequency through the whole sweep are taken out before orders are followed: {named}, of the "

@@ -63,9 +63,10 @@ DENSER = 4
 
 
 def band_of_orders(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
-    """``band`` limited to the orders that ``settings`` ask for at the speeds of ``shaft``, where others need more.
+    """BandRecording ``band`` (channel, time) limited to the orders that ``settings`` ask for, where others need more.
 
-    Only where nothing was taken from it yet: two filters in a row would err by more than ``settings`` allow.
+    The highest speed of the ShaftAngle ``shaft`` counts. ``band`` is returned as it is where it is by crank angle, was
+    decimated before (two filters in a row would err by more than ``settings`` allow) or would hardly get shorter.
     """
     needed_hz = settings.max_order * float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
     taken = is_by_angle(band) or band.attrs.get("decimation_error") or not needed_hz > 0.0
@@ -83,8 +84,8 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     The method is chosen by ``settings.tolerance``. The error that its filters and kernels predict stands beside it
     (``predicted_error``) and that of the fastest frame beside a far denser sampling of it (``achieved_error``): where
     the angle scatters from tooth to tooth and the latter misses the tolerance, all frames are sampled more densely.
-    A recording of what does not turn gives one frame of unknown speed, all NaN.
-    Raises InputError where not even one cycle was recorded.
+    A recording of a structure that does not turn gives one frame of unknown speed, all NaN. Raises InputError where not
+    even one cycle was recorded, RequestError where no kernel meets the tolerance.
     """
     if not shaft.attrs.get("has_shaft", 1):
         return _no_orders(band, shaft, settings)
@@ -242,9 +243,9 @@ def _flags(
 def spectra(samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, *, density: int = 1) -> Complexes:
     """Spectra (channels, frames, orders) of ``samples`` by the kernel and on the frames of ``layout``.
 
-    In peak amplitude, phases from crank angle 0 of ``shaft``. Where the angle is smooth, nothing folds onto a wanted
-    order; where it scatters from tooth to tooth, ``density`` times as many samples per revolution are taken. Frames of
-    a channel that touch one of its gaps are NaN.
+    They are in peak amplitude, with phases from crank angle 0 of the ShaftAngle ``shaft``. Where the angle is smooth,
+    nothing folds onto a wanted order; where it scatters from tooth to tooth, ``density`` times as many samples per
+    revolution are taken. Frames of a channel that touch one of its gaps are NaN.
     """
     spectrum = np.empty((len(samples.signals), len(layout.begin_rev), layout.n_orders), dtype=np.complex128)
     kernel = layout.kernel
@@ -264,7 +265,8 @@ def spectra_by_angle(
 ) -> Complexes:
     """Spectra (channels, frames, orders) of ``signals`` at even crank angles on the frames of ``layout``.
 
-    ``signals`` (channels, samples) begin with the first frame; ``samples_per_rev`` and ``usable`` are theirs.
+    ``signals`` (channels, samples) begin with the first frame and have ``samples_per_rev``; ``usable`` (channels,
+    samples) is False in gaps, None where there are none.
     """
     starts = np.arange(len(layout.begin_rev), dtype=np.int64) * layout.hop_rev * samples_per_rev
     length = layout.revs * samples_per_rev
@@ -312,9 +314,8 @@ def achieved_error(
 
     The truth is the same frame of the same ``samples`` and ``shaft``, resampled four times as densely as with
     ``density`` and by a kernel without an error of its own where the recording has the neighbours that it takes.
-    ``layout`` says where the frames lie, ``speed_rpm`` (frames,) how fast they are; orders beyond the content of the
-    samples are not looked at. NaN where no frame is whole, or where the
-    recording has no neighbours to compare with.
+    ``layout`` says where the frames lie, ``speed_rpm`` (frames,) are their speeds; orders beyond the content of the
+    samples do not count. NaN where no frame is whole, or where the recording has no neighbours to compare with.
     """
     whole = np.isfinite(spectrum[:, :, 0])
     if not whole.any():

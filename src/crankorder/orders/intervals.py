@@ -31,7 +31,10 @@ MOST_LOGARITHM = 50.0
 
 
 def t_quantile(dof: Floats) -> Floats:
-    """Half width of a 95 % interval in standard errors, of an estimate whose error has ``dof`` degrees of freedom."""
+    """Half width of a 95 % interval in standard errors, by Student's t, of the shape of ``dof``.
+
+    ``dof`` (any shape) are the degrees of freedom of the standard error; infinite where they are not above 0.
+    """
     dof = np.asarray(dof, dtype=np.float64)
     asked, where = np.unique(dof, return_inverse=True)
     with np.errstate(invalid="ignore"):
@@ -49,9 +52,11 @@ def amplitude_interval(amplitude: Floats, noise_power: Floats, dof: Floats) -> t
 
     Parameters
     ----------
-    amplitude : magnitude of the complex estimate
-    noise_power : mean square of its complex error; the standard error of the amplitude is the root of half of it
-    dof : degrees of freedom of ``noise_power``; all three broadcast, and 0 or NaN gives 0 and infinity
+    amplitude : any shape, magnitude of the complex estimate; NaN gives NaN
+    noise_power : any shape, mean square of its complex error; the standard error of the amplitude is the root of half
+        of it
+    dof : any shape, degrees of freedom of ``noise_power``; 0 or NaN gives 0 and infinity. All three broadcast to the
+        shape of both results
     """
     amplitude, noise_power, dof = np.broadcast_arrays(amplitude, noise_power, dof)
     tail = 0.5 * (1.0 - LEVEL)
@@ -77,9 +82,11 @@ def energy_interval(
 ) -> tuple[Floats, Floats]:
     """Lower and upper end of the 95 % interval of an amplitude whose square was averaged without phase.
 
+    All parameters broadcast to one shape, (…, orders), which both ends have.
+
     Parameters
     ----------
-    power : squared amplitude, with noise
+    power : (…, orders), squared amplitude, with noise
     noise : noise power with which the line beats: the variance of ``power`` is 2 line noise + noise_variance
     bias : what noise adds to ``power`` on average
     noise_variance : variance of ``power`` without a line
@@ -98,9 +105,9 @@ def phase_interval_deg(amplitude: Floats, noise_power: Floats, dof: Floats) -> F
 
     Parameters
     ----------
-    amplitude : magnitude of the complex estimate
-    noise_power : mean square of its complex error
-    dof : degrees of freedom of ``noise_power``
+    amplitude : any shape, magnitude of the complex estimate; NaN gives NaN
+    noise_power : mean square of its complex error, of a shape that broadcasts with it
+    dof : degrees of freedom of ``noise_power``, of a shape that broadcasts with it
     """
     amplitude, noise_power, dof = np.broadcast_arrays(amplitude, noise_power, dof)
     clear = is_seen(amplitude, noise_power, dof)
@@ -111,13 +118,20 @@ def phase_interval_deg(amplitude: Floats, noise_power: Floats, dof: Floats) -> F
 
 
 def is_seen(amplitude: Floats, noise_power: Floats, dof: Floats) -> Bools:
-    """Whether ``amplitude`` is more than noise of ``noise_power``, known with ``dof``, alone makes once in forty."""
+    """Whether ``amplitude`` is larger than noise alone makes it once in forty times.
+
+    ``amplitude`` (any shape) is the magnitude of the complex estimate, ``noise_power`` the mean square of its error,
+    ``dof`` the degrees of freedom of that; all three broadcast to the shape of the result. NaN is not seen.
+    """
     with np.errstate(invalid="ignore"):
         return np.asarray(np.square(amplitude) > noise_power * beyond_chance(dof, 0.5 * (1.0 - LEVEL)))
 
 
 def beyond_chance(dof: Floats, chance: float) -> Floats:
-    """Power over the noise power that noise alone exceeds with ``chance``: the F distribution with 2 and ``dof``."""
+    """Power over the noise power that noise alone exceeds with ``chance`` (0 to 1), of the shape of ``dof``.
+
+    It is the quantile of the F distribution with 2 and ``dof`` (at least 0.1) degrees of freedom.
+    """
     dof = np.maximum(dof, 0.1)
     return np.asarray(0.5 * dof * np.expm1(-2.0 / dof * np.log(chance)))
 
@@ -157,7 +171,7 @@ WHOLE = 1e-6
 
 
 def one_phase_reference(used: Sequence[xr.Dataset]) -> bool:
-    """Whether the recordings ``used`` have one and the same ``phase_reference``, and it is a place on the crank.
+    """Whether the OrderFrames ``used`` (channel, frame, order) share one ``phase_reference``, a place on the crank.
 
     The zero of a count that no index sets is one in a single recording.
     """
@@ -166,13 +180,16 @@ def one_phase_reference(used: Sequence[xr.Dataset]) -> bool:
 
 
 def phase_reference_of(used: Sequence[xr.Dataset]) -> str:
-    """The ``phase_reference`` of the recordings ``used``; "mixed" where they differ."""
+    """The ``phase_reference`` attribute of the OrderFrames ``used`` (channel, frame, order); "mixed" if they differ."""
     marks = {str(item.attrs["phase_reference"]) for item in used}
     return marks.pop() if len(marks) == 1 else "mixed"
 
 
 def phases_compare(used: Sequence[xr.Dataset], order: Floats) -> Bools:
-    """For each ``order``, whether all recordings ``used`` tell its phase from one mark and in one turn of the cycle."""
+    """Whether all OrderFrames ``used`` tell the phase of each ``order`` from one mark and in one turn of the cycle.
+
+    ``order`` (orders,) is in cycles per revolution; the result has its shape.
+    """
     order = np.asarray(order, dtype=np.float64)
     if not one_phase_reference(used):
         return np.zeros(order.shape, dtype=np.bool_)
@@ -182,12 +199,12 @@ def phases_compare(used: Sequence[xr.Dataset], order: Floats) -> Bools:
 
 @dataclass(frozen=True)
 class BetweenRecordings:
-    """Scatter of the recordings' means about the mean of all frames; the first three are (channels, orders).
+    """Scatter of the recordings' means about the mean of all frames, each field (channels, orders).
 
-    ``along`` and ``across`` the mean, as powers of a circular noise with that part on each axis; ``recordings`` their
-    number, below two where there is nothing between; ``share`` what of the scatter is the error of the mean, were the
-    recordings all of it: the sum of squared weights over one less that sum, one over the recordings less one where
-    all have as many frames.
+    ``along`` and ``across`` are the scatter along and across the mean, as powers of a circular noise with that part on
+    each axis; ``recordings`` is their number, below two where nothing can differ. ``share`` is the share of the scatter
+    that is the variance of the mean, were all scatter between recordings: the sum of squared weights over one less that
+    sum, so 1 / (recordings - 1) where all have as many frames.
     """
 
     along: Floats
@@ -197,7 +214,7 @@ class BetweenRecordings:
 
     @property
     def both(self) -> Floats:
-        """Power of the scatter along and across."""
+        """Power (channels, orders) of the scatter: the mean of ``along`` and ``across``."""
         return 0.5 * (self.along + self.across)
 
 
@@ -208,7 +225,7 @@ def between_recordings(spectrum: Complexes, owner: Ints, mean: Complexes) -> Bet
     ----------
     spectrum : (channels, frames, orders); NaN takes no part
     owner : (frames,), the number of the recording of each
-    mean : mean over the frames of ``spectrum``
+    mean : (channels, orders), mean over the frames of ``spectrum``
     """
     names = np.unique(owner)
     zero = np.zeros(mean.shape)
@@ -244,10 +261,11 @@ def wider_of(
 
     Parameters
     ----------
-    power, dof : of the mean over the frames, by the frames' own scatter; NaN and 0 where they say nothing
-    scatter : ``along``, ``across`` or ``both`` of ``between``
-    between : of the recordings; nothing changes where they are fewer than two
-    parts : real parts that ``scatter`` is of: 2 for ``both``
+    power, dof : (channels, orders), noise power of the mean over the frames and its degrees of freedom, by the frames'
+        own scatter; NaN and 0 where they say nothing
+    scatter : (channels, orders), ``along``, ``across`` or ``both`` of ``between``
+    between : scatter of the recordings; nothing changes where they are fewer than two
+    parts : number of real parts in ``scatter``: 2 for ``both``, else 1
     """
     freedom = np.maximum(between.recordings - 1.0, 0.0)
     within = np.nan_to_num(power)
@@ -266,15 +284,15 @@ def ends_between(
 ) -> tuple[Floats, Floats]:
     """Interval of an amplitude whose recordings scatter more than their frames.
 
-    From one recording to the next an amplitude changes by a factor, and no line that is seen comes to nothing by it:
-    Student's t is that of a factor, the interval reaches from the amplitude over it to the amplitude times it.
+    From one recording to the next an amplitude changes by a factor, which makes no visible line vanish: the interval
+    reaches from the amplitude divided by a factor, 1 + Student's t times the relative error, to the amplitude times it.
 
     Parameters
     ----------
-    ends : lower and upper end by the frames alone
-    amplitude : mean over the recordings
-    within : noise power and degrees of freedom by the frames
-    wider : the same as of :func:`wider_of`; where nothing is wider ``ends`` are given back
+    ends : lower and upper end by the frames alone, each (channels, orders)
+    amplitude : (channels, orders), mean over the recordings
+    within : noise power and degrees of freedom by the frames, each (channels, orders)
+    wider : both, each (channels, orders), as :func:`wider_of` returns them; where they are no wider ``ends`` stay
     """
     is_wider = (wider[0] != within[0]) & np.isfinite(wider[0])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -297,39 +315,46 @@ def half_width(freedom: float, *, level: float = 0.95) -> float:
 
 
 def half_widths(freedom: Floats, *, level: float = 0.95) -> Floats:
-    """Half widths as of :func:`half_width`, of the shape of ``freedom``, at one ``level``."""
+    """Half widths as of :func:`half_width`, of the shape of ``freedom``, at one ``level`` of confidence, 0 to 1."""
     held = np.where(freedom > 1.0, np.minimum(freedom, ENDLESS_FREEDOM), 1.0)
     return np.asarray(stdtrit(held, 0.5 + 0.5 * level))
 
 
 def error_of(value: float, ends: Sequence[float]) -> float:
-    """Standard error of a stated ``value`` by the wider side of its 95 % interval, of which ``ends`` are the ends.
+    """Standard error of a stated ``value`` from the wider side of its 95 % interval with the ``ends`` (low, high).
 
-    The other side may be cut off at 0, as of sizes and damping ratios.
+    All are in one unit. The narrower side may be cut off at 0, as that of amplitudes and damping ratios is.
     """
     return max(float(ends[1]) - value, value - float(ends[0])) / Z95
 
 
 def interval(value: float, error: float, *, freedom: float = np.inf) -> tuple[float, float]:
-    """95 % interval of ``value`` with its standard ``error`` of so many degrees of ``freedom``."""
+    """95 % interval of ``value`` with its standard ``error`` in the same unit, of ``freedom`` degrees of freedom."""
     half = error * half_width(freedom)
     return value - half, value + half
 
 
 def positive_interval(value: float, half: float) -> tuple[float, float]:
-    """Interval of half width ``half`` about a ``value`` that is positive by nature: its lower end is above 0."""
+    """Ends of the interval of half width ``half`` about a positive ``value``, in its unit; the lower end stays above 0.
+
+    ``value`` is above 0 by nature, as a frequency is.
+    """
     return max(value - half, value * float(np.exp(-MOST_LOGARITHM))), value + half
 
 
 def size_interval(value: complex, half: float) -> tuple[float, float]:
-    """Interval of half width ``half`` about the size of a phasor ``value``, from 0 on."""
+    """Ends, from 0 on, of the interval of half width ``half`` about the magnitude of the phasor ``value``, in its unit.
+
+    The lower end is 0 where ``half`` is larger than the magnitude.
+    """
     return max(abs(value) - half, 0.0), abs(value) + half
 
 
 def ratio_interval(value: float, error: float, *, most: float = np.inf) -> tuple[float, float]:
-    """95 % interval of a positive ``value`` with its standard ``error``, even in the logarithm, up to ``most``.
+    """95 % interval of a positive ``value`` with its standard ``error``, symmetric in the logarithm, up to ``most``.
 
-    What is told by a product, as a damping ratio, errs by a factor: its lower end is above 0.
+    All three have one unit. A quantity known by a product, such as a damping ratio, errs by a factor: its lower end is
+    above 0.
     """
     half = Z95 * error / value if value > 0.0 else np.inf
     factor = float(np.exp(min(half, MOST_LOGARITHM)))
@@ -355,7 +380,7 @@ def adjusted(p_values: Floats) -> Floats:
 
 
 def claimed(p_values: Floats, *, q: float) -> Bools:
-    """True for comparisons that may be claimed with a false-discovery rate of at most ``q``.
+    """True (of the shape of ``p_values``) for comparisons that may be claimed with a false-discovery rate up to ``q``.
 
     Parameters
     ----------
@@ -376,10 +401,10 @@ def simes(p_values: Floats) -> float:
 
 
 def excess_scatter(misfit: Callable[[float], float], freedom: float, *, most: float, within: float) -> float:
-    """Scatter beyond the errors, up to ``most``, by which ``misfit`` is as large as its degrees of ``freedom``; else 0.
+    """Scatter beyond the errors, 0 to ``most``, at which ``misfit`` equals its degrees of ``freedom``.
 
-    ``misfit`` is the sum of the squares of residuals over their variances, with that scatter in them; the result is
-    known ``within`` that.
+    ``misfit`` of a scatter is the sum of the squares of residuals over their variances, with that scatter in them. The
+    result is exact to ``within``, in its unit; it is 0 where the errors alone explain the misfit.
     Source: Paule and Mandel (1982), J. Res. NBS 87, 377.
     """
     if misfit(0.0) <= freedom:
@@ -388,9 +413,10 @@ def excess_scatter(misfit: Callable[[float], float], freedom: float, *, most: fl
 
 
 def root(function: Callable[[float], float], low: float, high: float, *, within: float) -> float:
-    """Where ``function``, of unlike signs at ``low`` and ``high``, is zero, ``within`` that or a billionth of it.
+    """Root of ``function``, whose signs at ``low`` and ``high`` differ, exact to ``within`` or a billionth of the root.
 
-    By parabolas where they help, else by halving (Chandrupatla 1997). SciPy's own takes half a second to load.
+    It is found by inverse parabolas where they help, else by bisection (Chandrupatla 1997). SciPy's own takes half a
+    second to load.
     """
     a, b, share = high, low, 0.5
     f_a, f_b = function(a), function(b)

@@ -60,7 +60,7 @@ LEAST_NOISE = 1e-12
 
 
 class Place(NamedTuple):
-    """Course of a line: the frequency in Hz that stays, and the order of the shaft that it has beside it."""
+    """Course of a line: its constant frequency ``hertz`` [Hz] plus ``turns`` times the frequency of the shaft."""
 
     hertz: float = 0.0
     turns: float = 0.0
@@ -111,7 +111,7 @@ class HeldFrames:
 
     @cached_property
     def time_s(self) -> Floats:
-        """Time (frames,) of the middle of each frame from that of the first."""
+        """Time [s] (frames,) of the middle of each frame from that of the first."""
         return np.asarray(self.clock(self.turn) - self.clock(self.turn[0]))
 
     @cached_property
@@ -162,12 +162,12 @@ class Sighting:
 
     @property
     def sigmas(self) -> float:
-        """Amplitude over its error in the channel that shows it best."""
+        """Largest ratio over the channels of the amplitude to its standard error."""
         return float(np.max(self.amplitude / np.maximum(self.error, 1e-300)))
 
     @property
     def seen(self) -> bool:
-        """Whether noise would not make it."""
+        """Whether the line is too large for noise."""
         return bool(self.sigmas > NUMBERS.seen_sigmas)
 
 
@@ -175,8 +175,9 @@ class Sighting:
 class Band:
     """The decimated signal of frames about some orders: ``data`` (samples, channels) in the ``unit`` (channels,).
 
-    ``bins`` (bins,) are those that were joined, ``sample`` (samples,) the numbers of the samples, ``bins`` of them to a
-    frame. White noise of a recording is white in it, but for the outermost two bins.
+    ``bins`` (bins,) are the bins of the spectra that were joined, ``sample`` (samples,) the numbers of the samples, of
+    which a frame has as many as there are bins. White noise of a recording is white in ``data``, except in the
+    outermost two bins.
     """
 
     held: HeldFrames
@@ -224,7 +225,7 @@ class Band:
         return np.asarray(self._gather @ samples.reshape(-1, values.shape[2]))
 
     def waves(self, places: Sequence[Place]) -> Complexes:
-        """What lines of amplitude 1 at ``places`` are in the band (samples, places).
+        """Samples (samples, places) in the band of lines of amplitude 1 at ``places``.
 
         A line x reciprocal frame lengths from a bin is seen there by the response of the Hann window,
         sinc x / (1 - x²), and turns from frame to frame with its own phase less that of the bin.
@@ -256,10 +257,10 @@ class Band:
         return np.asarray(np.einsum("frx,br->fbx", padded, self._table.conj(), optimize=True) / len(self.bins))
 
     def periodogram(self, left: Complexes, low: float, high: float, *, hertz: float = 0.0) -> tuple[Floats, Floats]:
-        """Trial orders (trials,) from ``low`` to ``high``, and the share of what is ``left`` that a line at each takes.
+        """Trial orders (trials,) from ``low`` to ``high``, and the share (trials,) of ``left`` that each explains.
 
-        Shares are summed over the channels of ``left`` (samples, channels). Near a frequency ``hertz`` lines that stay
-        at one are meant: what turns with the speed as that one does is taken off.
+        Shares are summed over the channels of ``left`` (samples, channels). With a frequency ``hertz`` [Hz] above 0,
+        lines near it are taken to stay at one frequency as the speed changes.
         """
         held, slot, count = self.held, self.sample - self.sample[0], len(self.bins)
         n = PADDED * (int(slot[-1]) + 1)
@@ -276,11 +277,12 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class JointLines:
-    """Lines at ``places`` of a ``band``: ``phasor`` (lines, channels) and what they ``left`` (samples, channels).
+    """Lines at ``places`` of a ``band``: ``phasor`` (lines, channels) and the residual ``left`` (samples, channels).
 
-    Both in the unit of the band's data. ``own`` (lines, channels) is the variance of a phasor in noise of power 1 in
-    each sample, ``free`` (lines,) which numbers were solved for, ``moved`` (samples, free, channels) how the data
-    change with these beyond what the phasors take up, and ``follows`` (lines, free, channels) what they take up.
+    Both are in the unit of the band's data. ``own`` (lines, channels) is the variance of a phasor in noise of power 1
+    in each sample, ``free`` (lines,) says which numbers (orders or frequencies) were solved for. ``follows`` (lines,
+    free, channels) is the change of the phasors with these numbers, ``moved`` (samples, free, channels) the change of
+    the data that the phasors do not take up.
     """
 
     band: Band
@@ -299,15 +301,16 @@ class JointLines:
 
     @cached_property
     def white(self) -> Floats:
-        """Power (channels,) of what is left in a sample."""
+        """Power (channels,) of the residual per sample."""
         n, lines = len(self.left), len(self.places)
         least = np.square(LEAST_NOISE * np.abs(self.band.data)).mean(axis=0) + 1e-300
         return np.asarray(np.maximum(np.square(np.abs(self.left)).sum(axis=0) / max(n - lines, 1), least))
 
     def noise(self, line: int) -> tuple[Floats, float]:
-        """Power (channels,) of noise in a sample at the line number ``line``, and its degrees of freedom.
+        """Power (channels,) of noise per sample at the line number ``line``, and its degrees of freedom.
 
-        That of what is left at places beside, where no line is; of the whole band where few are.
+        It is that of the residual at places beside the line that are free of lines, or of the whole band where these
+        are few.
         """
         band, held = self.band, self.band.held
         seconds, place = held.span_rev * 60.0 / held.rpm, self.places[line]
@@ -342,9 +345,9 @@ class JointLines:
 
     @cached_property
     def information(self) -> tuple[Floats, Floats]:
-        """What the data say of the numbers (free,): Fisher's information (free, free), and the score (free,).
+        """Fisher's information (free, free) of the numbers that were solved for, and the score (free,).
 
-        In the noise beside the first line.
+        Both are for the noise beside the first line.
         """
         return self._scores(2.0 / self.noise(0)[0])
 
@@ -360,7 +363,10 @@ class JointLines:
         return np.asarray(np.linalg.pinv(normal + 1e-9 * np.trace(normal) * np.eye(len(score)), hermitian=True) @ score)
 
     def doubt(self, line: int, covariance: Floats) -> tuple[Floats, Floats]:
-        """Variances (channels,) of the phasor of ``line`` along and across it, by ``covariance`` of the numbers."""
+        """Variances (channels,) of the phasor of ``line`` along and across it from those of the free numbers.
+
+        ``covariance`` (free, free) is that of the numbers, orders squared.
+        """
         unit = (self.phasor[line] / np.maximum(np.abs(self.phasor[line]), 1e-300)).conj()
         turned = self.follows[line] * unit
         along, across = (np.einsum("lc,mc,lm->c", part, part, covariance) for part in (turned.real, turned.imag))
@@ -388,17 +394,17 @@ def joint_lines(
     power: Floats | None = None,
     settled: bool = True,
 ) -> JointLines:
-    """The lines at ``places`` of a ``band`` that leave least of it, all of them together.
+    """Least-squares fit of all lines at ``places`` to the ``band`` together.
 
     Parameters
     ----------
-    band : a neighbourhood of one recording
-    places : courses of the lines; those whose numbers are ``free`` are where the search begins, within half a cycle
-        over the recording
-    free : which numbers are solved for, all or none where one word is said
-    power : (lines, channels), mean squared amplitude that is known of each line, infinite where nothing is; a line of
+    band : neighbourhood of some orders in one recording
+    places : courses of the lines; for those whose numbers are ``free`` the search begins here, to be within half a
+        cycle over the recording
+    free : which numbers (orders or frequencies) are solved for, by line; a single value counts for all
+    power : (lines, channels), known mean squared amplitude of each line, infinite where it is not known; a line of
         known power and unknown phase takes no more of the data than that
-    settled : whether free numbers are moved to where least is left; else it is only told what the data say of them
+    settled : whether free numbers are moved to the least residual; else only the information on them is computed
     """
     places, span = tuple(places), band.held.span_rev
     is_free = np.full(len(places), free) if isinstance(free, bool) else np.asarray(free, dtype=np.bool_)
@@ -462,7 +468,10 @@ def _phasors(inverse: NDArray[np.complexfloating], score: Complexes) -> Complexe
 
 
 def hann_lobe(off_bins: Floats) -> Floats:
-    """What a Hann window shows ``off_bins`` beside a line of amplitude 1, phases counted from the window's middle."""
+    """Response of a Hann window, of any shape, ``off_bins`` (of that shape) beside a line of amplitude 1.
+
+    It is sinc x / (1 - x²) of the distance x in bins, real as phases count from the middle of the window.
+    """
     edge = np.abs(np.abs(off_bins) - 1.0) < 1e-9
     with np.errstate(divide="ignore", invalid="ignore"):
         lobe = np.sinc(off_bins) / (1.0 - off_bins**2)

@@ -94,11 +94,11 @@ def _at_length(item: xr.Dataset, revs: int, *, by_sweep: bool) -> tuple[xr.Datas
 
 
 def at_orders_of(item: xr.Dataset, revs: int) -> xr.Dataset:
-    """OrderFrames ``item`` at the orders of frames of ``revs`` revolutions, which are nearly as long as its own.
+    """OrderFrames ``item`` (channel, frame, order) at the orders of frames of ``revs`` revolutions.
 
-    Each frame is transformed back and evaluated there (the discrete-time Fourier transform of the same windowed
-    samples): what is locked to the shaft keeps its amplitude and phase, and lines are as wide as its own frames make
-    them.
+    ``revs`` is nearly the length of its own frames. Each frame is transformed back and evaluated at those orders (the
+    discrete-time Fourier transform of the same windowed samples): a line locked to the shaft keeps its amplitude and
+    phase, and is as wide as the frames of ``item`` make it.
     """
     length, begin = int(item.attrs["revs_per_frame"]), item["crank_angle"].values
     per_rev = 2 * math.ceil((item.sizes["order"] - 1) / length) + 4
@@ -111,11 +111,11 @@ def at_orders_of(item: xr.Dataset, revs: int) -> xr.Dataset:
 
 
 def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
-    """OrderFrames of ``revs`` revolutions made of those of another length, ``item``; None where none fit.
+    """OrderFrames (channel, frame, order) of ``revs`` revolutions made of ``item`` of another length; None if none fit.
 
-    Hann windows that overlap add up to a smooth sum, so the overlapping frames, transformed back, give the signal by
-    crank angle again up to the highest order, and other frames of it are what they would have been at first; but for
-    the two ends of a record, where a window alone is near 0.
+    Overlapping Hann windows add up to a smooth sum, so that the frames, transformed back, give the signal by crank
+    angle up to the highest order. New frames of it are as if made from the recording, except at its two ends, where
+    the only window is near 0.
     """
     length = int(item.attrs["revs_per_frame"])
     begin = item["crank_angle"].values
@@ -225,7 +225,11 @@ def _dataset(
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames to average: ``spectrum`` (channels, frames, orders), and for each the recording, its begin and speed."""
+    """Frames to average: ``spectrum`` (channels, frames, orders); the other fields are (frames,).
+
+    ``owner`` is the number of the recording, ``begin_rev`` the crank angle [rev] at which the frame begins,
+    ``speed_rpm`` its mean speed.
+    """
 
     spectrum: Complexes
     owner: Ints
@@ -233,7 +237,7 @@ class Frames:
     speed_rpm: Floats
 
     def of(self, which: Bools) -> Frames:
-        """Those of the frames that ``which`` picks."""
+        """The frames where ``which`` (frames,) is true."""
         return Frames(self.spectrum[:, which], self.owner[which], self.begin_rev[which], self.speed_rpm[which])
 
 
@@ -241,8 +245,8 @@ class Frames:
 class AllFrames:
     """Frames of all recordings, whose spectra are joined only where a group needs those of several.
 
-    ``spectra`` (channels, frames, orders) of each recording; ``owner``, ``begin_rev``, ``speed_rpm`` of all frames;
-    ``exponent`` (channels,) of the power of two that is taken out of each channel.
+    ``spectra`` (channels, frames, orders) of each recording; ``owner``, ``begin_rev``, ``speed_rpm`` (frames,) of all
+    frames, as in :class:`Frames`; ``exponent`` (channels,) of the power of two that is taken out of each channel.
     """
 
     spectra: list[NDArray[np.complexfloating]]
@@ -253,11 +257,11 @@ class AllFrames:
 
     @property
     def unit(self) -> Floats:
-        """What is taken out of each channel (channels, 1, 1)."""
+        """Factor (channels, 1, 1) that is taken out of each channel, a power of two."""
         return np.ldexp(1.0, self.exponent)[:, None, None]
 
     def of(self, which: Ints) -> Frames:
-        """Those of the frames that ``which`` (numbers that grow) picks; a view where they are neighbours."""
+        """The frames numbered ``which`` (picked,), rising; a view where they are neighbours."""
         owner, first = self.owner[which], np.searchsorted(self.owner, np.arange(len(self.spectra)))
         parts = []
         for name in np.unique(owner):
@@ -274,9 +278,9 @@ class AllFrames:
 
 
 def all_frames(used: Sequence[xr.Dataset]) -> AllFrames:
-    """Frames of all recordings, ``used`` as OrderFrames of equal length.
+    """Frames of all recordings: ``used`` are their OrderFrames (channel, frame, order), with frames of equal length.
 
-    Only where squares would leave the range of numbers is a power of two taken out.
+    A power of two is taken out only where squares would leave the range of floating-point numbers.
     """
     largest = np.max([_largest(item["spectrum"].values) for item in used], axis=0)
     exponent = np.where(np.isfinite(largest) & (largest > 0.0), np.frexp(largest)[1], 0)
@@ -300,9 +304,10 @@ def _largest(spectrum: Complexes) -> Floats:
 class Framing:
     """How frames lie and what their noise is told from.
 
-    ``revs`` their length, ``window``; speeds that differ by over ``swept_rpm`` may change amplitudes. ``with_phase``
-    (orders,) says which orders have phases that recordings share, ``beside`` (orders, several) the bins whose noise is
-    that of each, ``worth`` (orders,) so many independent ones; none where orders are no neighbours.
+    ``revs`` is their length, ``window`` its name; speeds that differ by over ``swept_rpm`` may change amplitudes.
+    ``with_phase`` (orders,) says which orders have phases that recordings share, ``beside`` (orders, several) the bins
+    whose noise is that of each, ``worth`` (orders,) how many independent bins these are; empty where orders are no
+    neighbours.
     """
 
     revs: float
@@ -322,11 +327,11 @@ class Framing:
 
 @dataclass(frozen=True)
 class AtSpeed:
-    """What frames held at one speed show, each (channels, orders).
+    """What frames held at one speed show, each field (channels, orders).
 
-    ``coherent`` the complex mean of the frames, ``error`` its noise power, ``energy`` the mean power, ``noise`` the
-    noise power of one frame, ``powers`` the independent power spectra behind ``energy``, ``freedom`` the degrees of
-    freedom of both noise powers.
+    ``coherent`` is the complex mean of the frames, ``error`` its noise power, ``energy`` the mean power, ``noise`` the
+    noise power of one frame, ``powers`` the number of independent power spectra behind ``energy``, ``freedom`` the
+    degrees of freedom of both noise powers.
     """
 
     coherent: Complexes
@@ -341,8 +346,8 @@ class AtSpeed:
 class LikeSpeedFrames:
     """Frames of a test and the rows of like speed that they are averaged in.
 
-    ``used`` the OrderFrames taken, ``remarks`` on what was left out, ``every`` their frames, ``framing`` theirs,
-    ``groups`` the indices of the frames of each row, slowest first.
+    ``used`` are the OrderFrames taken, ``remarks`` say what was left out, ``every`` has their frames, ``framing`` how
+    these lie, ``groups`` the indices (frames of the row,) of the frames of each row, slowest first.
     """
 
     used: list[xr.Dataset]
@@ -357,7 +362,7 @@ class LikeSpeedFrames:
         return np.array([np.mean(self.every.speed_rpm[group]) for group in self.groups])
 
     def at_columns(self, columns: Ints) -> LikeSpeedFrames:
-        """The frames at the orders numbered ``columns`` (rising) alone, for phases that all recordings share."""
+        """The frames at the orders numbered ``columns`` (chosen,), rising; their phases are taken to be shared."""
         every = replace(self.every, spectra=[spectrum[:, :, columns] for spectrum in self.every.spectra])
         beside = np.minimum(np.searchsorted(columns, self.framing.beside[columns]), len(columns) - 1)
         shared, worth = np.ones(len(columns), dtype=np.bool_), self.framing.worth[columns]
@@ -365,10 +370,11 @@ class LikeSpeedFrames:
 
 
 def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
-    """All ``frames`` (OrderFrames) that :func:`common_frames` takes, in rows; those of unknown speed by recording.
+    """All ``frames`` (OrderFrames) that :func:`common_frames` takes, in rows of like speed.
 
     Frames of a sweep fall into bins of ``speed_bin_rpm``. Speeds that are held, as in a stepped test, share a row
-    within that width only where all that they show agrees; nothing says that two of unknown speed ran alike.
+    within that width only where their spectra agree. Each recording of unknown speed has a row of its own, as nothing
+    says that two of them ran alike.
     """
     used, remarks = common_frames(frames)
     every, attrs, order = all_frames(used), used[0].attrs, used[0]["order"].values
@@ -416,8 +422,8 @@ def _at_speed(frames: Frames, framing: Framing) -> AtSpeed:
 def agree(first: AtSpeed, second: AtSpeed, *, with_phase: Bools) -> bool:
     """Whether ``first`` and ``second`` differ nowhere by more than their noise, or by 1 % of the line.
 
-    Lines that are locked are compared by amplitude and phase, by amplitude alone where not ``with_phase`` (orders,);
-    lines that slip by their energy.
+    Locked lines are compared by amplitude and phase, or by amplitude only where ``with_phase`` (orders,) is False;
+    lines that slip are compared by energy.
     """
     freedom = np.maximum(np.minimum(first.freedom, second.freedom), 1.0)
     chance = DIFFER_CHANCE / (2.0 * max(first.energy.size, 1))

@@ -67,10 +67,10 @@ INTERVALS = {
 
 @dataclass(frozen=True)
 class Held:
-    """Noise power of the mean without what the line itself does, and the values that it held.
+    """Noise power of the mean without the changes of the line itself, and the values it held; each (channels, orders).
 
-    ``least`` and ``most`` amplitude of it, NaN where that is steady; ``turned`` its largest distance [rad] from the
-    mean phase, 0 where that is steady; each (channels, orders).
+    ``noise`` is that power, ``least`` and ``most`` are the extremes of the line's amplitude, NaN where that is steady;
+    ``turned`` is its largest distance [rad] from the mean phase, 0 where that is steady.
     """
 
     noise: Floats
@@ -145,12 +145,14 @@ def _extremes(turned_back: Complexes, owner: Ints) -> tuple[Floats, Floats, Floa
 
 @dataclass(frozen=True)
 class Average(BetweenRecordings, Held):
-    """Averages of a group of frames, each (channels, orders), with what differs between recordings and was held.
+    """Averages of a group of frames, each field (channels, orders), with what differs between recordings and was held.
 
     ``energy`` is the mean power, ``coherent`` the complex mean (the root of the mean of the recordings' coherent
-    powers where ``apart``, their number, is over one), ``noise`` the noise power of one frame by the frames' own
-    scatter with ``own`` complex degrees of freedom, ``left`` what of it is left in ``coherent``, ``bias`` what
-    it adds to the power of ``coherent``, ``powers`` the independent power spectra, ``phases`` the complex ones.
+    powers where ``apart``, their number, is over one), ``kurtosis`` the spectral kurtosis (0 of Gaussian noise, -1 of a
+    steady line), ``noise`` the noise power of one frame by the frames' own scatter with ``own`` complex degrees of
+    freedom, ``left`` the share of it that is left in ``coherent``, ``bias`` the share of it that adds to the power of
+    ``coherent``, ``powers`` and ``phases`` the numbers of independent power and complex spectra, ``count`` the number
+    of frames.
     """
 
     energy: Floats
@@ -166,10 +168,10 @@ class Average(BetweenRecordings, Held):
 
 
 def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Dataset:
-    """OrderMap of a test from the OrderFrames of its recordings.
+    """OrderMap (channel, speed, order) of a test from the OrderFrames of its recordings.
 
-    ``frames`` need not be equally many; recordings whose frames are not as long as those of most others are left out
-    and flagged "bad", and orders that not all hold are cut off, flagged "info". Frames within
+    ``frames`` (channel, frame, order) need not be equally many; recordings whose frames are not as long as those of
+    most others are left out and flagged "bad", and orders that not all hold are cut off, flagged "info". Frames within
     ``settings.speed_bin_rpm`` share a row, speeds that are held only where their numbers agree. A row is averaged
     twice: by energy (``amplitude``, which also sees lines that slip against the shaft) and coherently
     (``coherent_amplitude`` and ``phase``). Across recordings the coherent average is taken only where all have one and
@@ -221,10 +223,10 @@ def _averages(whole: Average, unit: Floats) -> Variables:
 
 
 def intervals_of(whole: Average, grouped: LikeSpeedFrames, *, by_crank: bool = True) -> dict[str, Floats]:
-    """Values of the variables of INTERVALS of ``whole`` (channel, speed, order).
+    """Values (channels, speeds, orders) of the variables of INTERVALS of ``whole``.
 
-    Where the scatter of the frames ``grouped`` says too little the bins beside are asked too. Phases ``by_crank`` err
-    with its angle, which turns and lessens lines, and whose swing may give to them.
+    Where the scatter of the frames ``grouped`` says too little, the bins beside help out. Phases ``by_crank`` have the
+    errors of the crank angle too, which turn and lessen lines, and whose swing may add sidebands of other lines.
     """
     unit, used = grouped.every.unit, grouped.used
     order = used[0]["order"].values if by_crank else np.zeros(whole.energy.shape[2])
@@ -261,10 +263,10 @@ def intervals_of(whole: Average, grouped: LikeSpeedFrames, *, by_crank: bool = T
 
 
 def average_of(frames: Frames, framing: Framing) -> Average:
-    """Average of a group of ``frames`` that lie as ``framing`` says; what is NaN, by channel and order, is left out.
+    """Average (channels, orders) of a group of ``frames`` that lie as ``framing`` says, without those that are NaN.
 
-    Where some are, columns (one channel, one order) with the same frames are averaged together; of very many frames the
-    channels are averaged one by one.
+    Frames are left out by channel and order; columns (one channel, one order) with the same frames are averaged
+    together, and the channels of very many frames one by one.
     """
     if len(frames.spectrum) > 1 and frames.spectrum.size > MOST_VALUES:
         each = (replace(frames, spectrum=channel[None]) for channel in frames.spectrum)

@@ -50,7 +50,7 @@ which the frame stands for no speed: a step."""
 
 @dataclass(frozen=True)
 class TimeSamples:
-    """Signals (channels, samples) at ``rate_hz`` from ``start_s`` on, with content up to ``content`` of the rate.
+    """``signals`` (channels, samples) at ``rate_hz`` from ``start_s`` on; ``content`` is the share of the rate in use.
 
     ``usable`` (channels, samples) is False within gaps and what filters spread of them; None where there are none.
     """
@@ -72,7 +72,10 @@ class TimeSamples:
 
 
 def time_samples(band: xr.Dataset, *, tolerance: float) -> TimeSamples:
-    """Samples of the BandRecording ``band``, which is by time, in a precision that allows for ``tolerance``."""
+    """Samples (channels, samples) of the BandRecording ``band`` by time, in single precision where that is enough.
+
+    ``tolerance`` is the relative amplitude error, above 0, that resampling them may add.
+    """
     rate = float(band.attrs["rate_hz"])
     share = min(float(band.attrs.get("band_hz", math.inf)) / rate, MOST_CONTENT)
     content = min(math.ceil(share / CONTENT_STEP - 1e-9) * CONTENT_STEP, MOST_CONTENT)
@@ -84,7 +87,7 @@ def time_samples(band: xr.Dataset, *, tolerance: float) -> TimeSamples:
 
 
 class SignalsByAngle(NamedTuple):
-    """Signals (channels, samples) at even crank angles (samples,) in rev.
+    """``signals`` (channels, samples) at even crank angles ``angle_rev`` (samples,), rev.
 
     ``usable`` (channels, samples) is False where a gap of the recording reaches; None where there is none.
     """
@@ -96,7 +99,7 @@ class SignalsByAngle(NamedTuple):
 
 
 def is_by_angle(band: xr.Dataset) -> bool:
-    """Whether ``band`` was sampled by crank angle already."""
+    """Whether the BandRecording ``band`` is (channel, crank_angle), not (channel, time)."""
     return bool(band.attrs["domain"] == "crank_angle")
 
 
@@ -122,9 +125,9 @@ def _single_of(content: float, tolerance: float) -> Kernel | None:
 
 
 def covered_angles(samples: TimeSamples, shaft: xr.Dataset, *, margin: int) -> tuple[float, float]:
-    """First and last crank angle [rev] that ``samples`` and ``shaft`` both know, ``margin`` samples from the ends.
+    """First and last crank angle [rev] that ``samples`` and the ShaftAngle ``shaft`` (time) both know.
 
-    Both are 0 where nothing is covered.
+    ``margin`` is how many samples at each end of ``samples`` are left out. Both are 0 where nothing is covered.
     """
     n_samples = samples.signals.shape[1]
     if n_samples <= 2 * margin + 1:
@@ -139,9 +142,10 @@ def covered_angles(samples: TimeSamples, shaft: xr.Dataset, *, margin: int) -> t
 def signals_at(
     samples: TimeSamples, shaft: xr.Dataset, angle_rev: Floats, kernel: Kernel
 ) -> tuple[NDArray[np.floating], Bools | None]:
-    """Values (channels, angles) of ``samples`` at ``angle_rev`` (angles,) of ``shaft`` by ``kernel``; which are usable.
+    """Values (channels, angles) of ``samples`` at the crank angles ``angle_rev`` (angles,), and which are usable.
 
-    The second is None where ``samples`` have no gap.
+    ``shaft`` is the ShaftAngle, ``kernel`` resamples. The second result (channels, angles) is False where a gap
+    reaches; it is None where ``samples`` have no gap.
     """
     parts = np.array_split(angle_rev, 1 + len(angle_rev) // BLOCK_SAMPLES)
     positions = np.concatenate([time_at(part, **knots_of(shaft)) for part in parts])
@@ -164,16 +168,20 @@ def samples_per_rev_for(samples: TimeSamples, kernel: Kernel, *, slowest_hz: flo
 
 
 def rev_frequencies(shaft: xr.Dataset, edges_rev: Floats) -> Floats:
-    """Mean rotational frequencies [Hz] of ``shaft`` between the crank angles ``edges_rev``: one fewer than these."""
+    """Mean rotational frequencies [Hz] (edges - 1,) of the ShaftAngle ``shaft`` between neighbouring ``edges_rev``.
+
+    ``edges_rev`` (edges,) are rising crank angles, rev.
+    """
     elapsed = np.diff(time_at(edges_rev, **knots_of(shaft)))
     return np.asarray(np.diff(edges_rev) / np.maximum(elapsed, 1e-12))
 
 
 def signals_by_angle(band: xr.Dataset, shaft: xr.Dataset, *, max_order: float, tolerance: float) -> SignalsByAngle:
-    """The whole of ``band`` at even crank angles of ``shaft``, whose whole revolutions are samples.
+    """The whole of ``band`` (channels, samples) at even crank angles; each whole revolution begins at a sample.
 
-    ``max_order`` is the highest order onto which nothing may fold, ``tolerance`` the relative amplitude error that
-    resampling may add. A recording by crank angle is given as it is.
+    ``band`` is the BandRecording, ``shaft`` its ShaftAngle, ``max_order`` the highest order onto which nothing may
+    fold, ``tolerance`` the relative amplitude error that resampling may add. A recording by crank angle is returned as
+    it is. Raises RequestError where no kernel meets ``tolerance`` (:func:`kernel_for`).
     """
     if is_by_angle(band):
         samples_per_rev = int(band.attrs["samples_per_rev"])
@@ -221,8 +229,8 @@ class FrameLayout:
 def swept_revs(course: SpeedCourse, *, settings: OrderSettings, revs_per_cycle: int) -> int:
     """Length in revolutions of the frames of a recording with the SpeedCourse ``course``.
 
-    That of ``settings``, in whole cycles of ``revs_per_cycle``, halved until the speed changes within a frame by no
-    more than :data:`MOST_SWEPT` half of the time, but not below what parts half orders.
+    It is that of ``settings``, in whole cycles of ``revs_per_cycle``, halved until the relative change of the speed
+    within a frame is at most :data:`MOST_SWEPT` half of the time, but never too short to separate half orders.
     """
     revs = max(1, settings.revs_per_frame // revs_per_cycle) * revs_per_cycle
     speed, rate = course.speed_rpm[course.runs], course.rate_rpm_per_s[course.runs]
@@ -237,12 +245,15 @@ def swept_revs(course: SpeedCourse, *, settings: OrderSettings, revs_per_cycle: 
 def frame_layout(
     band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings, course: SpeedCourse | None = None
 ) -> FrameLayout:
-    """Frames of whole cycles that ``band`` and ``shaft`` hold, and the kernel within the tolerance of ``settings``.
+    """Frames (frames,) of whole cycles that ``band`` and ``shaft`` hold, and the kernel within ``settings.tolerance``.
 
-    Where a ``course`` of the speed is given they are as short as its sweep asks for (:func:`swept_revs`) and, if that
-    is shorter than the settings', a quarter of their length apart; frames that stand for no speed are left out.
-    Where the neighbours that the kernel takes would cost a recording of few revolutions a cycle, it is continued beyond
-    its ends, on which a Hann window puts next to no weight. Raises InputError where not even one cycle was recorded.
+    ``band`` is the BandRecording, ``shaft`` its ShaftAngle. Where a ``course`` of the speed is given, frames are as
+    short as its sweep asks for (:func:`swept_revs`) and, if that is shorter than the settings ask for, a quarter of
+    their length apart; frames that stand for no speed are left out. Where the margin of the kernel would cost a
+    recording of few revolutions a cycle, it is continued beyond its ends, on which a Hann window puts next to no
+    weight.
+
+    Raises InputError where not even one cycle was recorded, RequestError where no kernel meets the tolerance.
     """
     cycle = int(shaft.attrs["revs_per_cycle"])
     asked = max(1, settings.revs_per_frame // cycle) * cycle

@@ -41,8 +41,9 @@ def place_of(name: str, names: list[str]) -> int:
 def coherence_level(n_frames: Floats) -> Floats:
     """Estimated coherence that independent signals stay below in 95 of 100 cases, before its bias is taken off.
 
-    ``n_frames`` independent ones, any shape; NaN below two. Source: Carter 1973, from Goodman's distribution: of
-    independent Gaussian signals it exceeds x with the probability (1 - x)^(n_frames - 1).
+    ``n_frames`` (any shape, which the result has) is the number of independent frames; NaN below two. Source: Carter
+    1973, from Goodman's distribution: of independent Gaussian signals it exceeds x with the probability (1 -
+    x)^(n_frames - 1).
     """
     n = np.asarray(n_frames, dtype=np.float64)
     enough = n >= LEAST_FRAMES
@@ -52,8 +53,8 @@ def coherence_level(n_frames: Floats) -> Floats:
 def expected_coherence(coherence: Floats, *, n_frames: float) -> Floats:
     """Mean of the estimated magnitude-squared coherence from few frames: 1 / n_frames where the true one is 0.
 
-    ``coherence`` the true one, 0…1, any shape; ``n_frames`` independent frames, at least 2. Source: Carter, Knapp and
-    Nuttall 1973, 1 / n + (n - 1) / (n + 1) x 2F1(1, 1; n + 2; x).
+    ``coherence`` is the true one, 0 to 1, of any shape, which the result has; ``n_frames`` is the number of independent
+    frames, at least 2. Source: Carter, Knapp and Nuttall 1973, 1 / n + (n - 1) / (n + 1) x 2F1(1, 1; n + 2; x).
     """
     true = np.asarray(coherence, dtype=np.float64)
     index = np.arange(1.0, TERMS)
@@ -63,9 +64,10 @@ def expected_coherence(coherence: Floats, *, n_frames: float) -> Floats:
 
 
 def unbiased_coherence(estimate: Floats, *, n_frames: Floats) -> Floats:
-    """Coherence whose expected estimate is the one found: 0…1, and 0 where chance explains it; NaN below two frames.
+    """Coherence whose expected estimate is the one found: 0 to 1, 0 where chance explains it; NaN below two frames.
 
-    ``estimate`` magnitude-squared, any shape; ``n_frames`` independent frames, broadcast against it.
+    ``estimate`` is the magnitude-squared coherence, of any shape; ``n_frames`` the number of independent frames, of a
+    shape that broadcasts with it. The result has the joint shape; it inverts :func:`expected_coherence`.
     """
     biased, n = np.broadcast_arrays(np.asarray(estimate, dtype=np.float64), np.asarray(n_frames, dtype=np.float64))
     coherence = np.full(biased.shape, np.nan)
@@ -95,7 +97,7 @@ def operating_shapes(
 
     Parameters
     ----------
-    frames : OrderFrames of the recordings of the test; those of another length than most are left out
+    frames : OrderFrames (channel, frame, order) of the recordings; those of another length than most are left out
     orders : orders wanted, cycles per crank revolution; above the frames' highest they are NaN. Give those that were
         found: from a channel, noise that all channels share, such as that of a mode, has a shape as well
     settings : of orders; ``speed_bin_rpm`` is the width of a group of frames

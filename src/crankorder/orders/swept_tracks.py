@@ -146,9 +146,9 @@ _Part = tuple[_Plan, Complexes, Floats]
 
 @dataclass(frozen=True)
 class NoiseSpectrum:
-    """Spectrum ``power`` (channels, bins) of what no order makes, at ``frequency_hz`` (bins,), over a whole recording.
+    """Spectrum ``power`` (channels, bins) of the noise between the orders of a whole recording.
 
-    NaN where orders stood at all times.
+    It is at ``frequency_hz`` (bins,), and NaN where there was an order at all times.
     """
 
     frequency_hz: Floats
@@ -156,7 +156,11 @@ class NoiseSpectrum:
 
     @classmethod
     def of(cls, band: xr.Dataset, course: SpeedCourse, orders: Floats) -> NoiseSpectrum:
-        """That of ``band``: the median of those pieces in which none of the ``orders`` along ``course`` was near."""
+        """Noise spectrum of the BandRecording ``band``: the median of the pieces without an order nearby.
+
+        ``course`` is the speed of its shaft, ``orders`` (orders,) are in cycles per revolution. One bin of NaN where
+        the recording is too short.
+        """
         from scipy.fft import rfft, rfftfreq
 
         top = BAND_OVER * float(orders.max(initial=1.0) * course.speed_rpm.max()) / 60.0
@@ -213,12 +217,13 @@ def followed_tracks(
     standing_out: Sequence[float] = (),
     mains_hz: Sequence[float] = (),
 ) -> xr.Dataset:
-    """RecordingTracks of one recording: :func:`swept_tracks` where its speed is ``swept``, else none.
+    """RecordingTracks (channel, order, frame) of one recording where its speed is ``swept``, else an empty dataset.
 
-    ``band`` is the BandRecording, ``shaft`` its ShaftAngle. With ``settings.track_method`` "auto" those orders of
-    ``settings.track_orders`` and ``standing_out`` are followed jointly through a sweep, beside mains of ``mains_hz``;
-    with "frames" none are. An order that is not followed is read in the order map and its frames. The attribute
-    ``swept`` says whether rows are those of a sweep, ``standing_out`` which orders stood out in it.
+    ``band`` is the BandRecording, ``shaft`` its ShaftAngle; tracks are those of :func:`swept_tracks`. With
+    ``settings.track_method`` "auto" those orders of ``settings.track_orders`` and ``standing_out`` are followed jointly
+    through a sweep, beside mains of ``mains_hz``; with "frames" none are. An order that is not followed is read in the
+    order map and its frames. The attribute ``swept`` says whether rows are those of a sweep, ``standing_out`` which
+    orders stood out in it.
     """
     orders = [*settings.track_orders, *standing_out]
     if settings.track_method == "auto" and swept and orders:

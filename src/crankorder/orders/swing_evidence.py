@@ -72,12 +72,13 @@ LAST_STEPS = 9
 
 @dataclass(frozen=True)
 class Swing:
-    """Error of the crank angle that goes ``harmonic`` times with the turn: ``size`` E_k [rev] and how well it is known.
+    """Error of the crank angle that repeats ``harmonic`` times per revolution: ``size`` E_k [rev] and its certainty.
 
-    ``error_rev`` is the standard error of each part of ``size``, ``bound_rev`` what |E_k| exceeds with a chance of 5 %;
-    ``proved`` says whether several carriers agree on it, ``chance`` that they would by chance, ``carriers`` the orders
-    whose sidebands show it, strongest first; ``largest_rev`` is what no encoder errs by. ``lacking``: how many of the
-    sidebands that it would make clear of the noise are not there, and of how many.
+    ``error_rev`` is the standard error of each part of ``size``, ``bound_rev`` the value that |E_k| exceeds with a
+    chance of 5 %. ``proved`` says whether several carriers agree on it, ``chance`` is the probability that they would
+    by chance, ``carriers`` are the orders whose sidebands show it, strongest first; ``largest_rev`` is an error that no
+    encoder reaches. ``lacking`` holds how many of the sidebands that it would raise out of the noise are missing, and
+    of how many.
     """
 
     harmonic: int
@@ -92,9 +93,9 @@ class Swing:
 
     @property
     def left_rev(self) -> float:
-        """What is left of |E_k|, with a chance of 5 % of being more, once ``size`` was taken out where it is proved.
+        """Value [rev] that the remaining |E_k| exceeds with a chance of 5 %, after ``size`` was removed where proved.
 
-        Where one carrier alone shows it, as a wheel that is set off does, it may be an error of the angle all the same.
+        Where a single carrier shows it, as on an eccentric wheel, it may still be an error of the angle.
         """
         if self.proved:
             return REACH_95 * self.error_rev
@@ -103,7 +104,10 @@ class Swing:
 
 
 def true_angle(shown: Floats, swings: dict[int, complex]) -> Floats:
-    """True angle [rev] at the angle ``shown`` [rev] by an encoder of the ``swings``, E_k [rev] by harmonic k."""
+    """True angle [rev] (angles,) at the angle ``shown`` [rev] (angles,) by an encoder of the ``swings``.
+
+    ``swings`` are E_k [rev] by harmonic k: the encoder shows Re Σ E_k exp(2πi k angle) too much.
+    """
     true = shown
     for _ in range(STEPS if swings else 0):
         true = shown - _error(true, swings)
@@ -117,9 +121,10 @@ def _error(angle: Floats, swings: dict[int, complex]) -> Floats:
 
 
 def modulation(error: Floats, order: Floats) -> tuple[Ints, Complexes]:
-    """Shifts q [orders] and coefficients g_q (shifts, orders) of lines at ``order`` (orders,) in another angle.
+    """Shifts q (shifts,), in orders, and coefficients g_q (shifts, orders) of lines seen in an angle with an error.
 
-    ``error`` [rev] of their own angle at points of a turn of that.
+    ``error`` (points,) [rev] is that of the lines' own angle at even points of a revolution of the other one,
+    ``order`` (orders,) the order of each line.
     """
     n = len(error)
     spectrum = np.fft.fft(np.exp(2j * np.pi * order[:, None] * error), axis=1) / n
@@ -129,10 +134,10 @@ def modulation(error: Floats, order: Floats) -> tuple[Ints, Complexes]:
 
 
 def in_true_angle(spectrum: Complexes, *, bins_per_order: int, swings: dict[int, complex]) -> Complexes:
-    """``spectrum`` (…, orders) by the shown angle, brought back to the true one.
+    """``spectrum`` (…, orders) in the shown angle, transformed to the true angle, of the same shape.
 
-    The axis begins at order 0 and has ``bins_per_order`` bins per order; what is NaN stays so and gives nothing to its
-    neighbours, nor does what lies above the axis. ``swings``: E_k [rev] by harmonic k.
+    The axis begins at order 0 and has ``bins_per_order`` bins per order. NaN stays NaN and adds nothing to its
+    neighbours, nor do orders above the axis. ``swings`` are E_k [rev] by harmonic k.
     """
     n = spectrum.shape[-1]
     known = np.isfinite(spectrum.real)
@@ -150,11 +155,11 @@ def in_true_angle(spectrum: Complexes, *, bins_per_order: int, swings: dict[int,
 
 
 def given_by_neighbours(amplitude: Floats, *, bins_per_order: int, left_rev: dict[int, float]) -> Floats:
-    """Largest amplitude (…, orders) that swings of the angle of up to ``left_rev`` by harmonic give to each order.
+    """Largest amplitude (…, orders) that swings of the angle add to each order from the orders beside it.
 
-    ``amplitude`` (…, orders) is what the orders have, the axis, with ``bins_per_order``, as of
-    :func:`in_true_angle`. The two sides may add up; harmonics, and what the line itself loses, are joined by the root
-    of their squares.
+    ``amplitude`` (…, orders) is that of the orders, on an axis with ``bins_per_order`` as in :func:`in_true_angle`;
+    ``left_rev`` is the largest amplitude [rev] of the swing by harmonic. The two sides may add up; harmonics, and the
+    loss of the line itself, are added by their squares.
     """
     n = amplitude.shape[-1]
     turned = np.nan_to_num(amplitude) * (np.pi * np.arange(n) / bins_per_order)
@@ -175,7 +180,10 @@ def _moved(values: Floats, step: int) -> Floats:
 
 @dataclass(frozen=True)
 class Rows:
-    """Complex amplitudes (rows, half orders) of channels, and recordings or frames of sweeps; ``noise`` power."""
+    """Complex amplitudes ``value`` (rows, half orders) and their ``noise`` power, of the same shape.
+
+    A row is a channel in a recording, or in a frame of a sweep.
+    """
 
     value: Complexes
     noise: Floats
@@ -183,9 +191,9 @@ class Rows:
 
 @dataclass(frozen=True)
 class Expected:
-    """What is taken of an encoder before its frames are looked at: ``settings`` of orders, and what its teeth say.
+    """What is assumed of an encoder before its frames are looked at: ``settings`` of orders, and errors of its teeth.
 
-    ``tooth_level_rev``: root of the mean square amplitude [rev] that teeth which sit wrongly give to each harmonic.
+    ``tooth_level_rev`` is the root of the mean square amplitude [rev] that misplaced teeth give to each harmonic.
     """
 
     settings: OrderSettings
@@ -197,7 +205,7 @@ class Expected:
         return max(mounted, self.tooth_level_rev / math.sqrt(2.0))
 
     def largest_rev(self, harmonic: int) -> float:
-        """Largest error [rev] at a ``harmonic``: what is mounted or bored errs less the finer it is, teeth do not."""
+        """Largest error [rev] at a ``harmonic``: that of mounting falls with its square, that of teeth does not."""
         mounted = self.settings.largest_eccentricity_deg / 360.0 / harmonic**2
         return max(mounted, TEETH_LARGEST * self.tooth_level_rev)
 
@@ -221,7 +229,7 @@ class _Sums:
 
 
 def rows_of(frames: Sequence[xr.Dataset]) -> Rows | None:
-    """Rows of ``frames`` (OrderFrames) with one mark of the crank, on half orders; None where all are too short."""
+    """Rows (rows, half orders) of OrderFrames ``frames`` with one mark of the crank; None where all are too short."""
     values, noises = [], []
     for item in frames:
         revs = int(item.attrs["revs_per_frame"])
@@ -266,10 +274,10 @@ def _per_half(half: int) -> int:
 
 
 def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[complex, float]]) -> tuple[Swing, ...]:
-    """The error of the angle by harmonic, from the ``rows`` of a test and what is ``expected`` of its encoder.
+    """Errors of the angle by harmonic, from the ``rows`` of a test and what is ``expected`` of its encoder.
 
-    ``by_pulses``: what the pulses show of it by harmonic, as :func:`alike_at_all_speeds`. Others than these have but a
-    bound: modes make like sidebands of a shaft that really swings.
+    ``by_pulses`` are the errors [rev] that the pulses show by harmonic, from :func:`alike_at_all_speeds`. Other
+    harmonics have only a bound: modes make similar sidebands where the shaft really swings.
     """
     taken: dict[int, complex] = {}
     swings: dict[int, Swing] = {}
@@ -291,11 +299,11 @@ def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[comp
 
 
 def alike_at_all_speeds(shown: Complexes, *, slack: float) -> dict[int, tuple[complex, float]]:
-    """By harmonic, the part of the angle's swing that is the same at all speeds [rev], and the error of its parts.
+    """Part [rev], by harmonic, of the swing of the angle that is the same at all speeds, and the error of its parts.
 
-    An encoder errs by the same angle at every speed; the rest falls with the square of the speed, as what gas turns
-    does. ``shown`` (speeds, 1 + HARMONICS): speed and the swing [rev] that the pulses show there, right to the share
-    ``slack``. Empty where too few speeds tell the two apart.
+    An encoder errs by the same angle at every speed; the rest, such as the swing from gas torque, falls with the square
+    of the speed. ``shown`` (speeds, 1 + harmonics) holds the speed [rpm] and the swing [rev] that the pulses show
+    there, exact to the share ``slack``. The result is empty where too few speeds tell the two apart.
     """
     parts: dict[int, tuple[complex, float]] = {}
     speed, *sizes = shown.T
@@ -401,7 +409,7 @@ def _lacking(
 def unless_lines_lack(of: Mapping[str, tuple[Swing, ...]]) -> dict[str, tuple[Swing, ...]]:
     """Swings ``of`` the recordings of one encoder, unproved where too many of all lines lack their sidebands.
 
-    An error of the encoder spares no line; what a swing of the shaft turns comes through the modes as they let it.
+    An error of the encoder gives sidebands to every line; those of a real swing of the shaft pass through the modes.
     """
     counts = np.array([[swing.lacking for swing in own] for own in of.values()]).reshape(len(of), -1, 2).sum(axis=0)
     spares = counts[:, 0] > MOST_LACKING * counts[:, 1]

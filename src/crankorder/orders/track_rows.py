@@ -131,9 +131,9 @@ class TrackReader:
         return any(_place_in(item, order) >= 0 for item in self.items)
 
     def worth(self, order: float) -> Floats:
-        """How many independent values each row (rows,) of ``order`` stands for, 1 at most.
+        """Number (rows,) of independent values that each row of ``order`` is worth, 0 to 1.
 
-        Rows of an order that was followed through a sweep are closer than its filter parts.
+        Rows of an order that was followed through a sweep lie closer together than its filter resolves.
         """
         parts = [np.ones(len(self.map_rpm))]
         for item in self.items:
@@ -146,7 +146,7 @@ class TrackReader:
         return np.concatenate(parts)
 
     def nearest_row_of_map(self, rows: Ints) -> Ints:
-        """Of each of the ``rows`` (chosen,) the row of the map at the nearest speed: itself where it is one."""
+        """Row (chosen,) of the map at the speed nearest to that of each of ``rows`` (chosen,); rows of the map stay."""
         known = np.flatnonzero(np.isfinite(self.map_rpm))
         if not len(known):
             return np.minimum(rows, max(len(self.map_rpm) - 1, 0))
@@ -394,13 +394,13 @@ def order_tracks(
     followed: Sequence[xr.Dataset] = (),
     fixed: Sequence[FixedLine] = (),
 ) -> xr.Dataset:
-    """OrderTracks of ``orders`` (cycles per crank revolution) from the OrderMap ``order_map``, each where it is.
+    """OrderTracks (channel, order, speed) of ``orders``, cycles per crank revolution, from the OrderMap ``order_map``.
 
     On a bin of the map, amplitude, phase and 95 % intervals are those of the coherent average; between bins the
     amplitude is that of the ``frames`` (OrderFrames, or of the map's energy without them) at the exact order, apart
     from lines close by, and the phase is NaN. An order that was ``followed`` through a sweep (RecordingTracks) has the
-    rows of that, at speeds of their own. Where one meets ``fixed`` lines of the test it is told apart from
-    them, as far as that can be. ``band_rms`` is the RMS of everything within ``settings.band_width_orders``
+    rows of that, at speeds of their own. Where one meets ``fixed`` lines of the test it is separated from
+    them as far as possible. ``band_rms`` is the RMS of everything within ``settings.band_width_orders``
     around the order, NaN where the map holds less than half of that. Orders above the map give NaN. The flags are
     those of the map and of what was followed. Speeds rise.
     """
@@ -464,11 +464,11 @@ def all_tracked(found: Iterable[float], settings: OrderSettings) -> list[float]:
 
 
 def track_order(order: float, order_ci95: Sequence[float], lock: str | None, *, revs_per_cycle: int) -> float:
-    """The number at which the track of a found ``order`` stands, with its interval ``order_ci95`` (low, high).
+    """Order at which the track of a found ``order`` with the 95 % interval ``order_ci95`` (low, high) is read.
 
-    An order that is locked to the shaft (``lock`` "locked"), or may be ("undecided" with a multiple of the cycle's
-    frequency in its interval; ``revs_per_cycle`` 1 or 2), stands on that multiple, where its phase is known; any other
-    where it was found. An interval that would hold a multiple wherever it lay says nothing of it.
+    An order that is locked to the shaft (``lock`` "locked"), or may be ("undecided" with a multiple of the order of the
+    cycle, 1 / ``revs_per_cycle``, in its interval), is read on that multiple, where its phase is known; any other where
+    it was found. An interval so wide that it would hold a multiple anywhere does not count.
     """
     multiple = round(order * revs_per_cycle) / revs_per_cycle
     low, high = order_ci95

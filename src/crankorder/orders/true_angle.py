@@ -79,7 +79,7 @@ NAMES = {1: "eccentricity", 2: "ovality"}
 
 @dataclass(frozen=True, eq=False)
 class AngleErrors:
-    """Errors of the crank angle [rev] by row: ``random`` (rows,) within it, ``mean`` (rows,) that of its mean."""
+    """Standard errors of the crank angle [rev] by row: ``random`` (rows,) within it, ``mean`` (rows,) of its mean."""
 
     random: Floats
     mean: Floats
@@ -94,7 +94,7 @@ class AngleErrors:
         return np.asarray(np.where(half_deg < UNKNOWN_DEG, wider, half_deg))
 
     def kept(self, order: Floats) -> Floats:
-        """Share of its amplitude, 0 to 1, that a line at each ``order`` keeps; shapes as of :meth:`phase_half_deg`."""
+        """Share of its amplitude, 0 to 1, that a line at each ``order`` keeps; it broadcasts with (rows,)."""
         return np.asarray(np.exp(-0.5 * np.square(2.0 * np.pi * order * self.random)))
 
     @property
@@ -104,7 +104,10 @@ class AngleErrors:
 
 
 def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Attribute]:
-    """The attributes that frames of ``revs_per_frame`` carry of the error of their ShaftAngle ``shaft``."""
+    """The attributes that frames carry of the error of their ShaftAngle ``shaft`` (time).
+
+    ``revs_per_frame`` is the length of a frame, rev.
+    """
     error, of_one = _errors(shaft, revs_per_frame)
     # teeth of an encoder on another shaft swing at orders that no harmonic of the crank has
     own = TOOTH_PRINT in shaft.attrs and float(shaft.attrs[TOOTH_ORDER]) == 1.0
@@ -136,15 +139,19 @@ def _swing_by_speed(shaft: xr.Dataset) -> list[float]:
 
 
 def swing_shown(frames: Sequence[xr.Dataset]) -> Complexes:
-    """Speed [rpm] and the swing [rev] by half order that pulses of ``frames`` show: (speeds, 1 + HALF_ORDERS)."""
+    """Speed [rpm] and swing [rev] by half order that pulses of ``frames`` show: (speeds, 1 + HALF_ORDERS).
+
+    ``frames`` are OrderFrames (channel, frame, order); the result has no rows where none of them states it.
+    """
     rows = np.concatenate([np.zeros(0), *(np.atleast_1d(item.attrs.get(SHOWN, ())) for item in frames)])
     return np.asarray(rows.astype(np.float64).view(np.complex128).reshape(-1, 1 + HALF_ORDERS))
 
 
 def same_teeth(frames: Sequence[xr.Dataset]) -> bool:
-    """Whether the angles of all ``frames`` err alike: by one wheel, whose low harmonics are left in all of them.
+    """Whether the angles of all OrderFrames ``frames`` (channel, frame, order) err alike.
 
-    What was taken out of them with the teeth may have been motion, which is another in each recording.
+    They do where one wheel made them and its low harmonics are left in all of them: harmonics that were taken out with
+    the teeth may have been motion, which differs between recordings.
     """
     stated = [item.attrs for item in frames if TOOTH_PRINT in item.attrs]
     return not stated or (all(int(attrs[TOOTH_KEPT]) for attrs in stated) and same_wheel(stated))
@@ -153,7 +160,8 @@ def same_teeth(frames: Sequence[xr.Dataset]) -> bool:
 def errors_of_rows(frames: Sequence[xr.Dataset], owner: Ints, rows: Sequence[Ints]) -> AngleErrors:
     """Errors of the rows of a map of OrderFrames ``frames``, whose recordings err each on its own.
 
-    ``owner`` (frames of all,) is the number of the recording of each, ``rows`` the frames of each row.
+    ``owner`` (frames,) is the number of the recording of each frame of all recordings, ``rows`` are the indices (frames
+    of the row,) of the frames of each row.
     """
     error, of_one = (np.array([float(item.attrs.get(name, 0.0)) for item in frames]) for name in (ERROR, OF_ONE_REV))
     length = np.array([float(item.attrs["revs_per_frame"]) for item in frames])
@@ -170,7 +178,10 @@ def errors_of_rows(frames: Sequence[xr.Dataset], owner: Ints, rows: Sequence[Int
 
 
 def errors_along(shaft: xr.Dataset, time_s: Floats, revs: Floats) -> AngleErrors:
-    """Errors of ``shaft`` at the times ``time_s`` (rows,), each over so many ``revs`` (rows,), above 0."""
+    """Errors (rows,) of the ShaftAngle ``shaft`` at ``time_s`` (rows,) [s], each over ``revs`` (rows,) revolutions.
+
+    ``revs`` are above 0.
+    """
     overall, of_one = _errors(shaft, float(np.median(revs)) if len(revs) else 1.0)
     if not overall > 0.0:
         return AngleErrors(np.zeros(len(time_s)), np.zeros(len(time_s)))
@@ -273,13 +284,16 @@ def tracks_in_true_angle(followed: Sequence[xr.Dataset], swings: Swings) -> list
 
 
 def left_of(frames: Sequence[xr.Dataset]) -> dict[int, float]:
-    """What may be left of each harmonic of the swing [rev] in ``frames``, the largest."""
+    """Largest amplitude [rev], by harmonic, of the swing that may be left in ``frames`` (channel, frame, order)."""
     stated = [np.atleast_1d(item.attrs[LEFT]) for item in frames if LEFT in item.attrs]
     return {} if not stated else dict(zip(HARMONICS, np.max(stated, axis=0).tolist(), strict=True))
 
 
 def given_to(amplitude: Floats, frames: Sequence[xr.Dataset]) -> Floats:
-    """Largest amplitude that the rest of the swing in ``frames`` gives to each (…, orders) of ``amplitude``."""
+    """Largest amplitude (…, orders) that the rest of the swing in OrderFrames ``frames`` adds to each order.
+
+    ``amplitude`` (…, orders) is that of the orders on the axis of ``frames``.
+    """
     left = left_of(frames)
     if not any(left.values()):
         return np.zeros(amplitude.shape)
@@ -287,7 +301,7 @@ def given_to(amplitude: Floats, frames: Sequence[xr.Dataset]) -> Floats:
 
 
 def swing_flags(swings: Swings) -> list[QualityFlag]:
-    """What ``swings`` say of the encoder: once for a test whose recordings have one mark, else for each."""
+    """Quality flags on the encoder from ``swings``: once for a test whose recordings have one mark, else for each."""
     of = list(swings.of.items())[: 1 if swings.shared else None]
     return [_flag("all" if swings.shared else name, swing) for name, own in of for swing in own if swing.proved]
 

@@ -106,7 +106,7 @@ def structural_weight(width: Floats) -> Floats:
 
 
 def impulse_response(lag_bandwidths: Floats) -> Floats:
-    """What the filter gives ``lag_bandwidths`` (any shape) reciprocal bandwidths after an impulse, far below the rate.
+    """Response of the filter ``lag_bandwidths`` (any shape) reciprocal bandwidths after an impulse, far below the rate.
 
     The cosine transform of the gain; its integral over the lag is one.
     """
@@ -115,13 +115,13 @@ def impulse_response(lag_bandwidths: Floats) -> Floats:
 
 
 def taken_in_truth(share: Floats, widest: Floats) -> Floats:
-    """How many times what a second filter takes of the peak of a mode that a sweep passes the first one has taken.
+    """Loss of a mode's peak in the filter over the loss in a second pass of it, as a sweep passes the mode.
 
-    ``share`` (any shape): what the second takes of what the first has left. The spectrum of the envelope that a mode
-    leaves falls exponentially from the order, as the transform of 1 / (1 + i t / τ) does, so that one share belongs to
-    one width of it; of a spectrum much wider than the band of the filter the share tends to a bound, and what was taken
-    to everything.
-    ``widest`` (as ``share``) is the largest width, over which the spectrum falls by e, in half bandwidths.
+    ``share`` (any shape) is the share that the second pass takes of what the first has left. The spectrum of the
+    envelope of a mode falls exponentially from the order, as the transform of 1 / (1 + i t / τ) does, so that one share
+    belongs to one width of it. For a spectrum much wider than the band of the filter the share tends to a bound, and
+    the loss to everything. ``widest`` (shape of ``share``) is the largest width, over which the spectrum falls by e, in
+    half bandwidths.
     """
     widths, shares, times = _taken_table()
     most = np.interp(widest, widths, shares)
@@ -153,10 +153,17 @@ def _response_table() -> tuple[Floats, Floats]:
 def local_level(sums: Complexes, weight: Floats, others: Floats, *, sums_per_bandwidth: float) -> tuple[Floats, Floats]:
     """Variance of the white noise that would be as strong as the residual beside one order, by frame.
 
-    ``sums`` (channels, places) of the residual turned back by the order's phase, whose mean square is ``weight``
-    (places,) times that variance; ``others`` (other orders, places) their distance from this order in cycles per
-    place; ``sums_per_bandwidth`` of them in the time 1/bandwidth. Returns the middle of each frame in
-    places (frames,) and the variance (channels, frames), enlarged as Student's distribution asks for so few bins.
+    Parameters
+    ----------
+    sums : (channels, places), sums of the residual turned back by the phase of the order
+    weight : (places,), mean square of ``sums`` over the variance
+    others : (other orders, places), their distance from this order, cycles per place
+    sums_per_bandwidth : number of places in the time 1 / bandwidth
+
+    Returns
+    -------
+    The middle of each frame (frames,), in places, and the variance (channels, frames), enlarged by Student's
+    distribution for so few bins.
     """
     known = weight > 1e-3 * weight.max()
     turned = np.where(known, sums / np.sqrt(np.where(known, weight, 1.0)), 0.0)
@@ -214,7 +221,10 @@ def _level(power: Floats, free: Bools) -> Floats:
 
 
 def student_factor(dof: Floats) -> Floats:
-    """What Student's t asks for at 95 % over a normal distribution, by degrees of freedom ``dof`` (any shape)."""
+    """Quantile of Student's t over that of the normal distribution at 95 %, of the shape of ``dof``.
+
+    ``dof`` (any shape) are degrees of freedom, above 0; it is the approximation 1 + 1.21 / dof.
+    """
     return np.asarray(1.0 + 1.21 / dof)
 
 
@@ -229,8 +239,14 @@ def _expected(kept: Ints, count: Ints) -> Floats:
 def closest(phase_rev: Floats, bandwidth_hz: Floats, *, rate_hz: float, names: Sequence[str]) -> tuple[str, float]:
     """Name of the two components that are closest for their bandwidth, and their median distance in Hz.
 
-    ``phase_rev`` (orders, samples) at ``rate_hz``, ``bandwidth_hz`` (orders, points), ``names`` (orders,) for people.
-    A component is also held against its own and the others' images at minus the frequency, and at the sample rate.
+    A component is also compared with its own and the others' images at minus the frequency, and at the sample rate.
+
+    Parameters
+    ----------
+    phase_rev : (orders, samples), rev, phase of each component
+    bandwidth_hz : (orders, points), Hz
+    rate_hz : samples per second
+    names : (orders,), names of the components
     """
     frequency, width = np.diff(phase_rev, axis=1) * rate_hz, np.sqrt(np.median(bandwidth_hz, axis=1))
     pairs = []
@@ -258,19 +274,25 @@ def vold_kalman(
 ) -> tuple[Complexes, Floats]:
     """Complex amplitudes (channels, orders, places) of all orders and their standard errors, at the samples ``place``.
 
-    ``signals`` (channels, samples) at ``rate_hz`` count where they are ``usable``, of the same shape; envelopes go on
-    elsewhere as smoothly as they can. ``phase_rev`` (orders, samples), finite: revolutions of each component, order
-    times crank angle, of any shaft. ``bandwidth_hz`` (orders, points), two points or more, even across the record with
-    the first at its beginning and the last at its end: from half-power point to half-power point, narrower for less
-    noise and better separation, wider for faster changes. ``names`` (orders,): what an error calls them.
-    ``knots_per_bandwidth``: envelopes are quintic between 16 knots in a reciprocal bandwidth, inside the band right to
-    1e-9, or 8, right to 1e-5; what lies further from the order than half so many bandwidths is rejected altogether.
-
     The line of an order is Re(amplitude · exp(2πi phase_rev)); the standard error is that of the real and of the
-    imaginary part, thus of the amplitude too (of the phase in rad: over the amplitude).
-    Data are met in their real form, a cos + b sin, so that the image at minus the frequency does not leak, and a
-    constant is fitted with the orders. Raises RequestError where bandwidths differ too much or orders cannot be told
-    apart within bandwidth and length.
+    imaginary part, thus of the amplitude too (of the phase in rad: divided by the amplitude). The data are fitted in
+    real form, a cos + b sin, so that the image at minus the frequency does not leak, and a constant is fitted with the
+    orders.
+
+    Parameters
+    ----------
+    signals : (channels, samples)
+    phase_rev : (orders, samples), finite, revolutions of each component: order times crank angle, of any shaft
+    place : (places,), samples at which amplitudes are wanted
+    usable : (channels, samples), samples that count; elsewhere envelopes continue as smoothly as possible
+    rate_hz : samples per second
+    bandwidth_hz : (orders, points), Hz, above 0, between half-power points; two points or more, even across the record
+        from its beginning to its end. Narrower gives less noise and better separation, wider follows faster changes
+    names : (orders,), names of the orders in errors
+    knots_per_bandwidth : knots in a reciprocal bandwidth, between which envelopes are quintic: 16, exact to 1e-9 inside
+        the band, or 8, exact to 1e-5; content further from the order than half so many bandwidths is rejected
+
+    Raises RequestError where bandwidths differ too much or orders cannot be told apart within bandwidth and length.
     Source: Vold and Leuridan 1993; Tuma 2005; the restriction to splines as in Hutchinson and de Hoog 1985.
     """
     if float((bandwidth_hz.max(axis=0) / bandwidth_hz.min(axis=0)).max()) > WIDEST_RATIO:
@@ -362,7 +384,7 @@ def place_knots(spacing: Floats, n_samples: int) -> Ints:
 
 
 def middles(starts: Ints) -> Floats:
-    """Middle [samples] of each interval of ``starts``, as of ``place_knots``."""
+    """Middle [samples] (intervals,) of each interval between ``starts`` (intervals + 1,) of ``place_knots``."""
     return np.asarray(0.5 * (starts[1:] + starts[:-1] - 1.0))
 
 

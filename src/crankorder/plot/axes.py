@@ -45,7 +45,8 @@ _KEYS_IN = 0.76  # from the axes down to their keys
 def dataset_of(given: object, noun: str, picture: str) -> xr.Dataset:
     """``given`` as a dataset of the ``noun`` that the ``picture`` shows; a branch of a results tree is one.
 
-    Raises RequestError naming what was given and what is wanted.
+    Its dims are those of the schema of the ``noun`` in ``data_schema/``. Raises RequestError, which names what was
+    given and what is wanted, where ``given`` does not meet it.
     """
     dataset = given.to_dataset() if isinstance(given, _TREE) else given
     wanted, place = _NOUNS[noun], f"crankorder.plot.{picture}"
@@ -70,9 +71,9 @@ def _misfit(dataset: xr.Dataset, noun: str) -> SchemaError | None:
 
 
 def channel_of(given: object, noun: str, picture: str, channel: str | None) -> tuple[xr.Dataset, int]:
-    """``given`` as a dataset of the ``noun``, and the place of ``channel`` in it, or of the first where it is None.
+    """``given`` as a dataset (channel, …) of the ``noun``, and the index of ``channel`` in it; 0 where it is None.
 
-    Raises RequestError with what is there; ``picture`` stands in it.
+    Raises RequestError, which names the ``picture`` and what is there, for another dataset or an unknown channel.
     """
     dataset = dataset_of(given, noun, picture)
     names = [str(name) for name in dataset["channel"].values]
@@ -85,9 +86,9 @@ def channel_of(given: object, noun: str, picture: str, channel: str | None) -> t
 
 
 def findings_of(findings: object, picture: str) -> Findings:
-    """``findings`` as crankorder.diagnose or findings.json have them, empty for None.
+    """``findings`` as crankorder.diagnose returns or findings.json holds them; empty ones for None.
 
-    Raises RequestError, in which ``picture`` stands.
+    Raises RequestError, which names the ``picture``, where they are neither.
     """
     if isinstance(findings, Findings):
         return findings
@@ -111,7 +112,7 @@ def positive(value: object, key: str, picture: str) -> float:
 
 
 def values_of(dataset: xr.Dataset, name: str, *dims: str, channel: int) -> Floats:
-    """Values of variable ``name`` of ``dataset`` of one ``channel`` (its number), in the order of ``dims``."""
+    """Values of the variable ``name`` (channel, …) of ``dataset`` for channel number ``channel``, along ``dims``."""
     return np.asarray(dataset[name].isel(channel=channel).transpose(*dims).values, dtype=np.float64)
 
 
@@ -144,8 +145,8 @@ def axes_for(ax: Axes | None, picture: str, *, height_in: float = 5.0, width_in:
 def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_above: int = 0, note: str = "") -> None:
     """Axis labels ``x`` and ``y``, bold ``title``, ``note`` at its right, and frame of ``axes``.
 
-    ``whole``: a frame on all sides, no grid, and room for a bar, as around maps. ``rows_above``: of labels between axes
-    and title.
+    ``whole`` asks for a frame on all sides, no grid, and room for a bar, as around maps; ``rows_above`` is the number
+    of rows of labels between axes and title.
     """
     axes.set_facecolor(WHITE)
     axes.set_axisbelow(True)
@@ -167,9 +168,10 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
 
 
 def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None, *, log_y: bool = True) -> None:
-    """Axis limits of ``axes``: first and last of ``x``, and ``y``, logarithmic where ``log_y``; None without data.
+    """Set the limits of ``axes``: first and last of ``x`` (points,), rising, and ``y``, logarithmic where ``log_y``.
 
-    An axis of orders has ticks at whole numbers alone, where it spans some.
+    ``x`` and ``y`` are in the units of the axes; ``y`` is None where there are no data. An axis of orders has ticks at
+    whole numbers only, where it spans some.
     """
     from matplotlib.ticker import MaxNLocator
 

@@ -68,11 +68,11 @@ _LEAST_RANGE_DB = 20.0  # a colour scale spans at least this, so that noise alon
 
 
 def speed_cells(speeds_rpm: Floats) -> Floats:
-    """Lower and upper edge [rpm] of each speed's cell, shape (speed, 2): half-way to its neighbours.
+    """Lower and upper edge [rpm] (speeds, 2) of the cell of each speed: half-way to its neighbours.
 
-    ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %. The first and the last of several end at
-    themselves: nothing was measured beyond. In a wide gap of the tested range a cell reaches as far as on its other
-    side: what lies between was not measured.
+    ``speeds_rpm`` (speeds,) are rising, at least one; a single speed gets a cell of 5 %. The cells of the first and the
+    last of several end at these speeds, as nothing was measured beyond. Next to a wide gap of the tested range a cell
+    reaches as far as on its other side, as the gap was not measured.
     """
     speeds = np.asarray(speeds_rpm, dtype=float)
     halves = np.diff(speeds) / 2
@@ -89,7 +89,7 @@ def speed_cells(speeds_rpm: Floats) -> Floats:
 
 
 def gaps_before(cells: Floats) -> Bools:
-    """True for each of ``cells`` (speed, 2) [rpm] before which a range lies that no cell covers."""
+    """True (speeds,) for each of ``cells`` (speeds, 2) [rpm] before which a range lies that no cell covers."""
     apart = cells[1:, 0] - cells[:-1, 1] > 1e-9 * np.maximum(np.abs(cells[1:, 0]), 1.0)
     return np.concatenate([[False], apart])
 
@@ -100,9 +100,9 @@ def gaps_between(cells: Floats) -> list[tuple[float, float]]:
 
 
 def with_gaps(values: NDArray[Any], cells: Floats, *, empty: float = np.nan) -> tuple[NDArray[Any], Floats]:
-    """Rows of a map and their edges, with a row of ``empty`` for every gap.
+    """Rows (rows, bins) of a map and their edges (rows + 1,) [rpm], with a row of ``empty`` for every gap.
 
-    ``values`` shape (speed, bins); ``cells`` shape (speed, 2) [rpm] from :func:`speed_cells`.
+    ``values`` are (speeds, bins), ``cells`` (speeds, 2) [rpm] those of :func:`speed_cells`.
     """
     gap = np.flatnonzero(gaps_before(cells))
     rows = np.insert(values, gap, empty, axis=0)
@@ -110,7 +110,7 @@ def with_gaps(values: NDArray[Any], cells: Floats, *, empty: float = np.nan) -> 
 
 
 def bin_edges(centres: Floats) -> Floats:
-    """Edges (n + 1,) of bins around ascending ``centres`` (n,); the first and last bin are symmetric."""
+    """Edges (bins + 1,) of bins around rising ``centres`` (bins,), in their unit; the outermost are symmetric."""
     if len(centres) < 2:
         return np.array([centres[0] - 0.5, centres[0] + 0.5])
     middle = (centres[1:] + centres[:-1]) / 2
@@ -141,7 +141,7 @@ def pooled(values: NDArray[Any], edges: Floats, pixels: Floats, *, axis: int) ->
 
 
 def level_of(values: Any, reference: float) -> Any:
-    """Level [dB] of amplitudes ``values`` over ``reference``; 1e-300 and 1e300 survive."""
+    """Level [dB] of amplitudes ``values`` (any shape) over ``reference``, in one unit; 1e-300 to 1e300 are in range."""
     wide = np.asarray(values, dtype=np.float64)  # 1e-300 is zero in 32 bits
     return 20 * (np.log10(np.maximum(wide, 1e-300)) - np.log10(reference))
 
@@ -149,10 +149,10 @@ def level_of(values: Any, reference: float) -> Any:
 def level_limits(
     amplitude: NDArray[Any], reference: float, *, range_db: float, narrow: bool = False
 ) -> tuple[float, float]:
-    """Ends of a colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range.
+    """Ends (low, high) of a colour scale [dB]: the strongest line above, the quietest twentieth of the map below.
 
-    ``amplitude`` of a map (any shape), ``reference`` of its level in the same unit; ``range_db`` the greatest range,
-    which may be less than 20 dB where ``narrow``.
+    ``amplitude`` (any shape) is that of a map, ``reference`` that of its level in the same unit; ``range_db`` is the
+    greatest range, which may be less than 20 dB where ``narrow``.
     """
     values = amplitude[amplitude > 0]
     if not len(values):
@@ -174,10 +174,11 @@ _CURVE_POINTS = 200
 
 @dataclass(frozen=True)
 class LevelMap:
-    """Amplitudes (speed, place) of one channel, slowest speed first; places are frequencies [Hz] or orders.
+    """``amplitude`` (speeds, places) of one channel at ``speed`` (speeds,) [rpm], rising, and ``place`` (places,).
 
-    ``label`` of the level that refers to ``reference``; ``unknown`` spectra have no speed and no place. Where no speed
-    at all is known, spectra are stacked by number.
+    Places are frequencies [Hz], or orders where ``by_order``. ``label`` is that of the level, which refers to
+    ``reference``; ``unknown`` spectra have no speed and are not shown. Where no speed at all is known, spectra are
+    stacked by number.
     """
 
     speed: Floats
@@ -202,31 +203,32 @@ class LevelMap:
         return speed_cells(self.speed)
 
     def rpm(self, height: Floats | float) -> Floats:
-        """Speed at a ``height`` (any shape) of the map: a strip of one speed has no other, however high it is drawn."""
+        """Speed [rpm] at a ``height`` (any shape) of the map; a strip of one speed has that speed at any height."""
         alone = len(self.speed) == 1 and not self.timeless
         return np.asarray(self.speed[0] + 0.0 * np.asarray(height) if alone else height)
 
     def of_order(self, order: float, height: Floats | float) -> Floats:
-        """Abscissa of an ``order`` at the ordinate ``height``: its frequency [Hz], or itself on an order map.
+        """Abscissa of an ``order`` at the ordinate ``height`` [rpm]: its frequency [Hz], or itself on an order map.
 
-        ``height``: any shape.
+        ``height`` has any shape, which the result has too.
         """
         rpm = self.rpm(height)
         return order + 0.0 * rpm if self.by_order else order * rpm / 60
 
     def of_hertz(self, hertz: Floats | float, height: Floats | float) -> Floats:
-        """Abscissa of a frequency ``hertz`` at the ordinate ``height``: itself, or its order on an order map.
+        """Abscissa of a frequency ``hertz`` [Hz] at the ordinate ``height`` [rpm]: itself, or an order on an order map.
 
-        ``hertz`` and ``height``: any shape.
+        ``hertz`` and ``height`` have any shapes that broadcast; the result has their joint shape.
         """
         rpm = self.rpm(height)
         return 60 * hertz / rpm if self.by_order else hertz + 0.0 * rpm
 
 
 def level_map(dataset: xr.Dataset, channel: int, along: str, reference: float, label: str) -> LevelMap:
-    """Map of one ``channel`` (its number) of ``dataset`` over ``along``, "frequency" or "order".
+    """LevelMap of the channel with index ``channel`` of ``dataset`` over ``along``, "frequency" or "order".
 
-    ``reference`` of the levels in the channel's unit, which ``label`` states.
+    ``dataset`` is a CampbellMap or OrderMap (channel, speed, ``along``); ``reference`` is that of the levels, in the
+    channel's unit, and ``label`` states it.
     """
     speed, by_order = np.asarray(dataset["speed"].values, dtype=float), along == "order"
     amplitude = dataset["amplitude"].transpose("channel", "speed", along).values[channel]
@@ -250,8 +252,9 @@ def campbell_figure(
     decided), mains dotted, excited crossings circles; a strip at the right holds speeds to avoid and free ones. Where
     no findings were asked for, some whole orders are drawn for orientation.
 
-    ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the
-    report; ``sentence`` stands below the title. Raises ValueError for an unknown channel.
+    ``campbell`` is a CampbellMap (channel, speed, frequency), ``channel`` one of its channels, ``findings`` are those
+    of the same test, ``settings`` those of the report; ``sentence`` stands below the title. Raises ValueError for an
+    unknown channel.
     """
     number = campbell["channel"].values.tolist().index(channel)
     reference, text = channel_level(campbell, number, settings=settings)
@@ -296,7 +299,7 @@ def draw_levels(panel: Panel, levels: LevelMap, limits: tuple[float, float]) -> 
 def draw_findings(panel: Panel, levels: LevelMap, findings: Findings, channel: str, *, limit: int) -> list[Key]:
     """Keys of what is drawn over ``levels`` from the ``findings`` on a ``channel``, with labels around ``panel``.
 
-    ``limit``: the most orders.
+    At most ``limit`` orders are drawn.
     """
     lines = _order_lines(panel, levels, findings, channel, limit)
     modes = [] if levels.timeless and levels.by_order else fixed_frequencies(findings)

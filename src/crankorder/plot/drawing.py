@@ -46,7 +46,10 @@ FEW_DECADES = 2.0
 
 @dataclass(frozen=True)
 class Stroke:
-    """A line in inches, broken at NaN; ``values`` are what it stands for, in the units of its axes."""
+    """A line through ``points`` (points, 2), x and y in inches, broken at NaN; ``width`` in points of type.
+
+    ``values`` are the x and the y (points,) that it stands for, in the units of its axes.
+    """
 
     points: Floats
     color: str
@@ -61,7 +64,7 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Area:
-    """The area within outlines (n, 2) in inches, which rows of NaN part."""
+    """The area within outlines ``points`` (points, 2), x and y in inches; rows of NaN separate outlines."""
 
     points: Floats
     color: str
@@ -72,7 +75,11 @@ class Area:
 
 @dataclass(frozen=True)
 class Rings:
-    """Circles around points in inches; radius and line in points of type, full discs where ``width`` is 0."""
+    """Circles around ``points`` (circles, 2), x and y in inches; full discs where ``width`` is 0.
+
+    ``radius`` and ``width`` are in points of type. ``values`` are the x and the y (circles,) that the circles stand
+    for, in the units of their axes.
+    """
 
     points: Floats
     radius: float
@@ -115,7 +122,10 @@ class Words:
 
 @dataclass(frozen=True)
 class Field:
-    """Colours (rows from the top, columns, 3) over a box in inches; as many pixels as the box has, or repeated."""
+    """Colours ``rgb`` (rows from the top, columns, 3), 0 to 255, over a ``box`` in inches.
+
+    There are as many pixels as the box has, or each is repeated.
+    """
 
     rgb: NDArray[np.uint8]
     box: Box
@@ -169,7 +179,7 @@ def whole(places: Floats) -> Ints:
 
 
 def pixels_of(box: Box, dpi: float) -> tuple[int, int]:
-    """Rows and columns that a :class:`Field` over ``box`` has at ``dpi``."""
+    """Rows and columns that a :class:`Field` over ``box`` [inches] has at ``dpi`` pixels per inch."""
     left, bottom, width, height = box
     left, right, low, high = whole(dpi * np.array([left, left + width, bottom, bottom + height]))
     return int(high - low), int(right - left)
@@ -179,7 +189,7 @@ def pixels_of(box: Box, dpi: float) -> tuple[int, int]:
 class Panel:
     """Axes over ``box`` of ``drawing`` from ``x`` (low, high) and ``y`` (low, high), the latter logarithmic or not.
 
-    ``inches``: transform from values to inches of axes of matplotlib that stand there, on any scale.
+    ``inches`` is the transform from values to inches where axes of matplotlib stand there, on any scale; else None.
     """
 
     drawing: Drawing
@@ -190,7 +200,7 @@ class Panel:
     inches: Any = None
 
     def at(self, x: Floats | float, y: Floats | float) -> Floats:
-        """Places (n, 2) in inches of values ``x``, ``y`` (n,); values ≤ 0 of a logarithmic axis are NaN."""
+        """Places (points, 2) in inches of values ``x``, ``y`` (points,); values ≤ 0 of a logarithmic axis give NaN."""
         values = np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2).astype(float)
         if self.inches is not None:
             return np.asarray(self.inches.transform(values))
@@ -205,19 +215,22 @@ class Panel:
         return float(self.at(self.x[0], y)[0, 1])
 
     def curve(self, x: Floats, y: Floats, *, color: str, width: float = 1.3, **look: Any) -> None:
-        """Line through ``x``, ``y``: ``color``, ``width`` in points; ``look``: further fields of :class:`Stroke`.
+        """Draw a line through ``x`` and ``y``, both (points,) in the units of the axes.
 
-        ``x``, ``y``: (n,).
+        ``color`` is its colour, ``width`` is in points of type, ``look`` are further fields of :class:`Stroke`.
         """
         values = (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
         self.drawing.add(Stroke(self.at(x, y), color, width, within=self.box, values=values, **look))
 
     def upright(self, x: float, *, color: str, width: float = 0.8, **look: Any) -> None:
-        """Line over the whole height at ``x``: ``color``, ``width`` in points; ``look``: fields of :class:`Stroke`."""
+        """Draw a line over the whole height at ``x`` in ``color``; ``width`` in points, ``look`` as for a curve."""
         self.curve(np.array([x, x]), np.array(self.y), color=color, width=width, square=True, **look)
 
     def band(self, x: Floats, low: Floats, high: Floats, *, color: str, alpha: float, name: str = "band") -> None:
-        """Area called ``name`` over ``x`` from ``low`` to ``high`` (n,) in ``color`` with opacity ``alpha``."""
+        """Fill the area over ``x`` from ``low`` to ``high``, each (points,) in the units of the axes.
+
+        ``color`` has the opacity ``alpha``, 0 to 1; ``name`` is what the area is called.
+        """
         bottom = self.y[0] if self.log_y else -np.inf
         under, over = (self.at(x, np.where(np.isfinite(end), np.maximum(end, bottom), np.nan)) for end in (low, high))
         known = np.flatnonzero(np.isfinite(under + over).all(axis=1))
@@ -228,9 +241,10 @@ class Panel:
         self.drawing.add(Area(np.concatenate(outlines[1:] or outlines), color, alpha, self.box, name))
 
     def rings(self, x: Floats, y: Floats, *, color: str, radius: float, **look: Any) -> None:
-        """Discs at ``x``, ``y`` in ``color``, whole where they touch the panel; circles where they have a ``width``.
+        """Draw discs at ``x``, ``y`` in ``color``, whole where they touch the panel; circles where they have a width.
 
-        ``x``, ``y``: (n,). ``radius`` in points; ``look``: further fields of :class:`Rings`.
+        ``x`` and ``y`` are (discs,) in the units of the axes, ``radius`` is in points of type, ``look`` are further
+        fields of :class:`Rings`.
         """
         places, (left, bottom, wide, high), by = self.at(x, y), self.box, radius / 72
         near = (np.abs(places - (left + wide / 2, bottom + high / 2)) <= (wide / 2 + by, high / 2 + by)).all(axis=1)
@@ -238,7 +252,7 @@ class Panel:
         self.drawing.add(Rings(places[near], radius, color, values=values, **look))
 
     def pixel_edges(self) -> tuple[Floats, Floats]:
-        """Edges (pixels + 1,), along and upwards and in values, of the pixels that a map over the panel has."""
+        """Edges (columns + 1,) and (rows + 1,), in the units of x and y, of the pixels of a map over the panel."""
         rows, columns = pixels_of(self.box, self.drawing.dpi)
         if self.inches is None:
             return np.linspace(*self.x, columns + 1), np.linspace(*self.y, rows + 1)
@@ -274,9 +288,10 @@ class Panel:
         named: bool = True,
         grid: bool = True,
     ) -> None:
-        """Ticks below at ``places`` (n,), or at most ``most`` round ones, ``whole`` numbers or not, and a ``label``.
+        """Draw ticks below at ``places`` (ticks,), or at most ``most`` round ones, ``whole`` numbers or not.
 
-        The ticks are ``named`` or bare; with a ``grid`` or without.
+        ``places`` are in the unit of the axis, which ``label`` names; ticks are ``named`` or bare, with a ``grid`` or
+        without.
         """
         left, bottom, width, height = self.box
         places = linear_ticks(*self.x, most=most, whole=whole) if places is None else places
@@ -300,10 +315,10 @@ class Panel:
         right: bool = False,
         at_in: float | None = None,
     ) -> None:
-        """Ticks beside the panel at ``places`` or at most ``most`` round ones, with a ``grid``, and ``label`` lines.
+        """Draw ticks beside the panel at ``places`` or at most ``most`` round ones, with a ``grid``, and ``label``.
 
-        ``right``: on that side. ``at_in``: distance of the last line of ``label`` from the panel, where not next to the
-        ticks' texts.
+        ``places`` are in the unit of the axis; ``right`` puts them on that side; ``at_in`` is the distance [inches] of
+        the last line of ``label`` from the panel, where it does not stand next to the texts of the ticks.
         """
         left, bottom, width, height = self.box
         ticks = log_ticks if self.log_y else linear_ticks
@@ -327,7 +342,7 @@ class Panel:
 
 
 def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> Floats:
-    """Round places (n,) from ``low`` to ``high``, at most ``most`` + 1 of them, whole numbers where ``whole``."""
+    """Round places (ticks,) from ``low`` to ``high``, in their unit, at most ``most`` + 1; integers where ``whole``."""
     raw = max((high - low) / max(most, 1), 1e-300)
     if whole:
         raw = max(raw, 1.0)
@@ -338,7 +353,7 @@ def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> 
 
 
 def linear_texts(places: Floats) -> list[str]:
-    """Texts of evenly spaced ``places`` (n,): decimals that tell them apart, powers of ten far off 1."""
+    """Texts of evenly spaced ``places`` (ticks,): decimals that tell them apart, powers of ten far off 1."""
     if not len(places):
         return []
     step = float(places[1] - places[0]) if len(places) > 1 else abs(float(places[0])) or 1.0
@@ -350,7 +365,10 @@ def linear_texts(places: Floats) -> list[str]:
 
 
 def log_ticks(low: float, high: float, *, most: int) -> Floats:
-    """Decades (n,) from ``low`` to ``high``, at most ``most``; 2 and 5 between where they are few."""
+    """Decades (ticks,) from ``low`` to ``high``, above 0 and in their unit; 2 and 5 between where they are few.
+
+    At most ``most`` decades are given.
+    """
     decades = np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     stride = max(1, math.ceil(math.log10(high / low) / most))
     subs = (1.0, 2.0, 5.0) if math.log10(high / low) < FEW_DECADES else (1.0,)
@@ -360,9 +378,9 @@ def log_ticks(low: float, high: float, *, most: int) -> Floats:
 
 
 def log_limits(values: Floats, decades: float, *, room: float) -> tuple[float, float] | None:
-    """Ends of a logarithmic axis for the positive ``values``, at most ``decades`` and a factor ``room`` above them.
+    """Ends of a logarithmic axis for the positive ones of ``values`` (any shape), in their unit; None without any.
 
-    ``values``: any shape.
+    The upper end is a factor ``room`` above the largest, the lower one at most ``decades`` below it.
     """
     positive = values[np.isfinite(values) & (values > 0)]
     if not len(positive):
@@ -372,7 +390,7 @@ def log_limits(values: Floats, decades: float, *, room: float) -> tuple[float, f
 
 
 def decade_text(value: float) -> str:
-    """Tick text of a logarithmic axis: plain from 0.001 to 5000, else as 2·10⁻⁵; ``value`` > 0."""
+    """Tick text of a logarithmic axis: plain from 0.001 to 5000, else as 2·10⁻⁵; ``value`` > 0, in any unit."""
     exponent = int(np.floor(np.log10(value) + 1e-9))
     if -3 <= exponent <= 3:
         return f"{value:g}"

@@ -84,8 +84,8 @@ def label_top(drawing: Drawing, box_in: Box, tiers: Sequence[Sequence[EdgeLabel]
 
     Leaders of the upper tiers pass between the labels of the lower ones.
 
-    ``drawing`` to draw on; ``box_in`` left, bottom, width and height of the diagram in inches; ``tiers`` labels from
-    the lowest tier up, targets in inches from the drawing's left.
+    They are drawn on ``drawing``; ``box_in`` is left, bottom, width and height of the diagram in inches; ``tiers`` are
+    the labels from the lowest tier up, with targets in inches from the left of the drawing.
     """
     left, bottom, width, height = box_in
     level, lines = bottom + height, []
@@ -113,10 +113,10 @@ def label_top(drawing: Drawing, box_in: Box, tiers: Sequence[Sequence[EdgeLabel]
 
 
 def label_right(drawing: Drawing, box_in: Box, labels: Sequence[EdgeLabel]) -> None:
-    """Labels right of a diagram, each with a leader from its place on the right edge.
+    """Draw labels right of a diagram, each with a leader from its place on the right edge.
 
-    ``drawing`` to draw on; ``box_in`` left, bottom, width, height of the diagram in inches; ``labels`` with targets in
-    inches from the drawing's bottom.
+    They are drawn on ``drawing``; ``box_in`` is left, bottom, width, height of the diagram in inches; ``labels`` have
+    targets in inches from the bottom of the drawing.
     """
     left, bottom, width, height = box_in
     ordered = sorted(labels, key=lambda label: label.target_in)
@@ -130,11 +130,11 @@ def label_right(drawing: Drawing, box_in: Box, labels: Sequence[EdgeLabel]) -> N
 
 
 def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> Floats:
-    """Centres nearest to their targets (least squares) with no overlap, in the same order, inside low…high.
+    """Centres (labels,) nearest to their targets (least squares) without overlap, in the same sequence.
 
-    ``targets`` wanted centres, ascending; ``widths`` room that each needs; ``low`` and ``high`` ends of the edge, all
-    in one unit. Where the room does not suffice, all are set at equal shares of the edge. Source: isotonic regression
-    by pooling adjacent violators (Ayer et al. 1955).
+    ``targets`` (labels,) are the wanted centres, rising, ``widths`` (labels,) the room that each needs, ``low`` and
+    ``high`` the ends of the edge, all in one unit. Where there is not enough room, all get equal shares of the edge.
+    Source: isotonic regression by pooling adjacent violators (Ayer et al. 1955).
     """
     width = np.asarray(widths, dtype=float)
     offset = np.cumsum(width) - width / 2
@@ -154,9 +154,10 @@ def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, hig
 def head_of_test(
     drawing: Drawing, left_in: float, findings: Findings, what: str, sentence: str, *, longest: int
 ) -> None:
-    """Title of ``drawing``: the test of ``findings`` and ``what`` is shown of it, a ``sentence`` below, their doubts.
+    """Write the title of ``drawing``: the test of ``findings`` and ``what`` is shown, with a ``sentence`` below.
 
-    From ``left_in`` inches; the name of the test is cut at ``longest`` characters. The doubts stand at the foot.
+    It begins at ``left_in`` inches; the name of the test is cut at ``longest`` characters. The number of doubts in the
+    findings stands at the foot.
     """
     name = shortened(drawable(findings.test, longest), LARGE, 0.62 * drawing.width_in, bold=True)
     title_lines(drawing, left_in, f"{name} · {what}", sentence)
@@ -180,7 +181,7 @@ def draw_keys(
 ) -> None:
     """Draw ``keys`` side by side at the foot of ``drawing``, from ``left_in`` inches; in ``most`` rows if need be.
 
-    ``room_in``: width in inches that a row may take; ``base_in``: height of the first row's baseline.
+    ``room_in`` is the width in inches that a row may take, ``base_in`` the height in inches of the first baseline.
     """
     rows: list[list[tuple[Key, float]]] = [[]]
     used = 0.0
@@ -219,7 +220,7 @@ def edge_labels(panel: Panel, marks: Sequence[Mark]) -> list[EdgeLabel]:
 def label_column(panel: Panel, marks: list[Mark], caption: str, above: Sequence[Mark] = ()) -> None:
     """Write ``marks`` (place, text, colour) over the first ``panel`` of a column, and those ``above`` over them.
 
-    ``caption`` stands before them: what the marks are.
+    ``caption`` stands before them and says what the marks are.
     """
     tiers = [edge_labels(panel, tier) for tier in (marks, above)]
     lines = label_top(panel.drawing, panel.box, [fitted(labels, panel.box[2]) for labels in tiers])

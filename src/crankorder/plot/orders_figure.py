@@ -49,10 +49,12 @@ _PHASE_OF = {
 
 @dataclass(frozen=True)
 class ShownTracks:
-    """Values (channel, order, speed) of the orders that are shown, slowest speed first; ``rank`` 0: strongest.
+    """Tracks of the orders that are shown, at ``speed`` (speeds,) [rpm], rising, for ``orders`` (orders,).
 
-    NaN where a line is not clear of the noise. ``read`` is False at speeds at which only other orders have a row: those
-    of a sweep stand at speeds of their own.
+    ``amplitude``, the ends ``low`` and ``high`` of its 95 % interval, ``phase`` [deg] and ``read`` are each (channels,
+    orders, speeds), NaN where a line is not clear of the noise. ``read`` is False at speeds at which only other orders
+    have a row: those of a sweep have speeds of their own. ``rank`` (orders,) is 0 for the strongest order, ``units``
+    are those of the channels, ``reference`` is that of the phases, ``texts`` name the orders.
     """
 
     speed: Floats
@@ -69,7 +71,7 @@ class ShownTracks:
 
     @property
     def coloured(self) -> Bools:
-        """True for the orders that are drawn in a colour of their own."""
+        """True (orders,) for the orders that are drawn in a colour of their own."""
         return np.asarray(self.rank < (_COLOURED if len(self.orders) > _ALL_COLOURED else _ALL_COLOURED))
 
     def color(self, number: int) -> str:
@@ -83,8 +85,9 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
     Of many orders the strongest six are coloured, the others light; each line is labelled with its order at its right
     end. The axis is logarithmic where the orders differ much; channels of one unit share it.
 
-    ``tracks`` an OrderTracks (its ``amplitude_low`` and ``amplitude_high`` are the band where it has them, else the
-    standard error); ``findings`` of the same test; ``settings`` of the report.
+    ``tracks`` are OrderTracks (channel, order, speed), whose ``amplitude_low`` and ``amplitude_high`` are the band
+    where they have them, else the standard error; ``findings`` are those of the same test, ``settings`` those of the
+    report.
     """
     channels = [str(name) for name in tracks["channel"].values]
     columns = min(len(channels), _COLUMNS)
@@ -105,9 +108,10 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
 
 
 def shown_tracks(tracks: xr.Dataset, *, limit: int, among: Sequence[int] | None = None) -> ShownTracks:
-    """The ``limit`` orders of ``tracks`` that are largest relative to their channel's largest, ascending.
+    """The ``limit`` orders of OrderTracks ``tracks`` (channel, order, speed) that are largest, ascending.
 
-    ``among``: numbers of the orders from which to take them; of all where it is None.
+    The size of an order is relative to the largest one of its channel. ``among`` are the indices of the orders from
+    which to take them; None for all.
     """
     dims = ("channel", "order", "speed")
     at = np.argsort(tracks["speed"].values, kind="stable")
@@ -179,7 +183,7 @@ def _draw_channel(drawing: Drawing, shown: ShownTracks, channel: int, box: Box) 
 
 
 def draw_tracks(panel: Panel, shown: ShownTracks, channel: int) -> None:
-    """Draw in ``panel`` the amplitudes of a ``channel`` (its number) of ``shown`` tracks, with bands and names."""
+    """Draw in ``panel`` the amplitudes of ``shown`` tracks in the channel with index ``channel``, bands and names."""
     for number in np.argsort(-shown.rank):  # the strongest lies on top
         _draw_line(panel, shown, channel, int(number))
     _label_lines(panel, shown, channel)
@@ -266,7 +270,7 @@ def orders(
 
     Parameters
     ----------
-    order_tracks : OrderTracks of :func:`crankorder.order_tracks`
+    order_tracks : OrderTracks (channel, order, speed) of :func:`crankorder.order_tracks`
     channel : name of the channel; the first where not given
     orders : those to draw, each as a track within 0.02 of it; the twelve strongest of the channel where not given
     ax : axes to draw on; without them a new figure of pyplot's
@@ -345,9 +349,9 @@ _PIECES = 800  # of time, where a recording has more than twice as many speeds
 
 
 def changing_recordings(shaft: xr.Dataset) -> list[int]:
-    """Numbers of the recordings of ``shaft`` (the group of the results) whose speed changes by a tenth and more.
+    """Indices of the recordings of the ShaftSummary ``shaft`` (recording, knot) whose speed changes by a tenth or more.
 
-    Motion within an engine cycle does not count. None where the group holds no ``speed_trace``.
+    Motion within an engine cycle does not count. The list is empty where ``shaft`` has no ``speed_trace``.
     """
     if "speed_trace" not in shaft:
         return []
@@ -356,7 +360,10 @@ def changing_recordings(shaft: xr.Dataset) -> list[int]:
 
 
 def shown_recordings(shaft: xr.Dataset) -> list[int]:
-    """Numbers of the recordings of ``shaft`` that are drawn: their speed changes, else all with pulses."""
+    """Indices of the recordings of the ShaftSummary ``shaft`` (recording, knot) whose speed is drawn.
+
+    They are those whose speed changes or, where none changes, all that have pulses.
+    """
     numbers = changing_recordings(shaft)
     if numbers or "speed_trace" not in shaft or "n_pulses" not in shaft:
         return numbers
@@ -375,9 +382,9 @@ def _spread(trace: Floats) -> float:
 def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Speed [rpm] against time [s] of the :func:`shown_recordings`, with its swing as a band.
 
-    ``shaft`` the group of that name of the results, with ``trace_time``, ``speed_trace`` and where known
-    ``speed_trace_low``, ``speed_trace_high`` (recording, knot); ``findings`` of the same test; ``settings`` of the
-    report.
+    ``shaft`` is the group of that name of the results, with ``trace_time`` [s], ``speed_trace`` and where known
+    ``speed_trace_low``, ``speed_trace_high`` [rpm] (recording, knot); ``findings`` are those of the same test,
+    ``settings`` those of the report.
     """
     numbers = shown_recordings(shaft)
     time, speed = (shaft[name].transpose("recording", "knot").values for name in ("trace_time", "speed_trace"))
@@ -413,9 +420,9 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
 def draw_speed(
     panel: Panel, time: Floats, speed: Floats, swing: tuple[Floats, Floats], color: str, *, name: str = "speed"
 ) -> None:
-    """Draw ``speed`` over ``time`` in ``panel`` as a line in ``color`` called ``name``, its ``swing`` as a band.
+    """Draw ``speed`` [rpm] over ``time`` [s] in ``panel`` as a line in ``color`` called ``name``, its swing as a band.
 
-    ``time``, ``speed`` and both ends of ``swing``: (n,).
+    ``time``, ``speed`` and both ends of ``swing`` [rpm] are (points,).
     """
     panel.band(time, *swing, color=color, alpha=0.25)
     panel.curve(time, speed, color=color, name=name)
@@ -449,7 +456,7 @@ def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
 
     Parameters
     ----------
-    crank_angle : ShaftAngle of :func:`crankorder.crank_angle`
+    crank_angle : ShaftAngle (time) of :func:`crankorder.crank_angle`
     ax : axes to draw on; without them a new figure of pyplot's
 
     Raises RequestError for another dataset or axes.

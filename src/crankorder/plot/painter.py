@@ -53,9 +53,9 @@ def _look() -> Mapping[str, object]:
 
 
 def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
-    """Logarithmic y axis of ``axes`` from ``low`` to ``high``: decades, and 2 and 5 between where they are few.
+    """Make the y axis of ``axes`` logarithmic, with ticks at decades, and at 2 and 5 between where these are few.
 
-    ``most_ticks`` labelled at most.
+    It reaches from ``low`` to ``high``, both above 0 and in the unit of the axis; ``most_ticks`` are labelled at most.
     """
     axes.set_yscale("log")
     axes.set_ylim(low, high)
@@ -66,7 +66,7 @@ def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
 
 
 class Painter:
-    """Draws parts that are placed in inches with ``renderer``, of pixels or of vectors, of ``dpi`` points per inch."""
+    """Draws parts that are placed in inches with ``renderer``, for pixels or vectors, at ``dpi`` dots per inch."""
 
     def __init__(self, renderer: Any, dpi: float) -> None:
         self._to, self._dpi = renderer, dpi
@@ -158,7 +158,7 @@ class Painted(Artist):
         self._drawing = drawing
 
     def drawing(self, magnification: float = 1.0) -> Drawing:
-        """What is drawn; maps finer by the ``magnification``."""
+        """What is drawn; the ``magnification``, a factor on the pixels of maps, is not used."""
         assert self._drawing is not None
         return self._drawing
 
@@ -171,7 +171,7 @@ class Painted(Artist):
 
 
 class PaintedPanel(Painted):
-    """What ``content`` draws on the panel that ``axes`` are, laid out anew with every drawing, for one may zoom."""
+    """The drawing of ``content`` on ``axes`` as a panel, laid out anew each time it is drawn, as a user may zoom."""
 
     def __init__(self, axes: Axes, content: Callable[[Panel], object]) -> None:
         super().__init__()
@@ -181,7 +181,7 @@ class PaintedPanel(Painted):
         self.set_clip_on(False)
 
     def drawing(self, magnification: float = 1.0) -> Drawing:
-        """What is drawn for the limits and the size that the axes now have; maps finer by the ``magnification``."""
+        """What is drawn for the present limits and size of the axes; ``magnification`` is a factor on maps' pixels."""
         axes: Any = self.axes
         dpi, log_y = axes.get_figure().dpi, axes.get_yscale() == "log"
         left, bottom, width, height = (float(edge) / dpi for edge in axes.bbox.bounds)
@@ -200,9 +200,9 @@ class PaintedPanel(Painted):
 
 
 def picture_bytes(drawing: Drawing, *, dpi: int, kind: PictureFormat = "png") -> bytes:
-    """Bytes of a picture, the same for the same ``drawing`` (no date, fixed software name).
+    """Bytes of a picture file, the same for the same ``drawing`` (no date, fixed software name).
 
-    ``dpi`` pixels per inch; ``kind`` of file.
+    It has ``dpi`` pixels per inch; ``kind`` is the format of the file.
     """
     with _LOCK, matplotlib.rc_context(_look()):  # type: ignore[arg-type]  # its keys are a Literal of every setting
         if kind == "png":
@@ -219,7 +219,7 @@ def picture_bytes(drawing: Drawing, *, dpi: int, kind: PictureFormat = "png") ->
 
 
 def png_bytes(shown: NDArray[np.uint8], dpi: int) -> bytes:
-    """PNG of ``shown`` colours (rows from the top, columns, 3 or more) at ``dpi`` pixels per inch.
+    """PNG file of the colours ``shown`` (rows from the top, columns, 3 or more), 0 to 255, at ``dpi`` pixels per inch.
 
     Rows are not filtered: pictures of lines, type and repeated colours are as small without, in a fifth of the time.
     """

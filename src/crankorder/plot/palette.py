@@ -91,10 +91,10 @@ def text_width_in(text: str, size: float, *, bold: bool = False) -> float:
 
 @lru_cache(maxsize=1024)
 def text_ink(text: str, size: float, dpi: float, *, bold: bool) -> tuple[NDArray[np.uint8], float, float]:
-    """Ink of ``text``, of ``size`` points, ``bold`` or not, (rows from the top, columns; 255 is full), and its place.
+    """Ink (rows from the top, columns), 0 to 255, of ``text`` of ``size`` points, ``bold`` or not, and its place.
 
-    At ``dpi`` pixels per inch; its place in pixels: its left edge right of the place that the text begins at, its lower
-    edge below the baseline.
+    It has ``dpi`` pixels per inch. The place is the distance of its left edge to the right of the begin of the text,
+    and of its lower edge below the baseline, both in pixels.
     """
     font = _set(text, size, dpi, bold=bold)
     font.draw_glyphs_to_bitmap(antialiased=True)

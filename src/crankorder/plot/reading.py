@@ -51,17 +51,21 @@ def interval_of(record: object, key: str) -> tuple[float, float] | None:
 
 
 def decimals_of(width: float, value: float) -> int:
-    """Decimals that resolve a quarter of an interval of ``width``, and never more than six digits of ``value``."""
+    """Decimals that resolve a quarter of an interval of ``width``, and never more than six digits of ``value``.
+
+    Both are in one unit; ``width`` is 0 or more.
+    """
     size = math.floor(math.log10(max(abs(value), width, 1e-300)))
     wanted = -math.floor(math.log10(0.26 * width)) if width > 0 else 2 - size
     return min(wanted, 5 - size)
 
 
 def called_order(order: float, ends: tuple[float, float] | None = None, lock: object = None) -> float:
-    """Order by which a line is called: the half order that it agrees with, else its value to the decimals it earns.
+    """Order that names a line: the half order that it agrees with, else its value to the decimals that are known.
 
-    With the ``ends`` of a 95 % interval it agrees with the half order inside of it, or as its ``lock`` says, and keeps
-    as many decimals as these resolve; without them with a half order within 0.005.
+    With the ``ends`` (low, high) of a 95 % interval it agrees with a half order in the interval, or where its ``lock``
+    says so, and has as many decimals as the interval resolves; without ``ends`` it agrees with a half order within
+    0.005.
     """
     half, most = max(round(2 * order), 1) / 2, 4 - min(math.floor(math.log10(max(order, 1e-9))), 0)
     low, high = ends or (order - 0.005, order + 0.005)
@@ -87,14 +91,14 @@ def order_texts(orders: Sequence[float]) -> list[str]:
 
 
 def names_of_orders(orders: Sequence[float]) -> list[str]:
-    """Texts of measured ``orders`` by what they are called; by their own numbers where two are called alike."""
+    """Names of measured ``orders``; their own numbers where two would have the same name."""
     called = [nominal_order(order) for order in orders]
     own = [order if called.count(name) > 1 else name for order, name in zip(orders, called, strict=True)]
     return order_texts(own)
 
 
 def nominal_order(record: Any) -> float:
-    """Order by which the line of a ``record`` of the findings, or a measured order, is called: see called_order."""
+    """Order that names the line of a ``record`` of the findings, or a measured order, by :func:`called_order`."""
     order = float(getattr(record, "order", record))
     return called_order(order, interval_of(record, "order"), getattr(record, "lock", None))
 
@@ -125,13 +129,16 @@ def is_undecided(mode: ModeFinding) -> bool:
 
 
 def at_one_speed(findings: Findings) -> bool:
-    """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
+    """True where the test of the ``findings`` ran at one speed, so that orders and fixed tones look the same."""
     low, high = findings.speed_range_rpm
     return is_number(low) and is_number(high) and alike_speeds((low, high))
 
 
 def number_text(value: float | None, *, digits: int = 3) -> str:
-    """``value`` to ``digits`` significant digits, without exponent from 1e-4 to 1e6; ``"–"`` where it is not known."""
+    """``value``, in any unit, to ``digits`` significant digits; "–" where it is not known.
+
+    It has no exponent from 1e-4 to 1e6.
+    """
     if value is None or not math.isfinite(value):
         return "–"
     if value == 0:
@@ -144,20 +151,20 @@ def number_text(value: float | None, *, digits: int = 3) -> str:
 
 
 def frequency_text(frequency_hz: float) -> str:
-    """``frequency_hz`` for a label: three digits below 100 Hz, whole hertz above; no unit."""
+    """``frequency_hz`` [Hz] for a label: three digits below 100 Hz, whole hertz above; no unit."""
     return f"{frequency_hz:.0f}" if abs(frequency_hz) >= 99.95 else f"{frequency_hz:.3g}"
 
 
 def scaling_text(dataset: xr.Dataset) -> str:
-    """``"(peak)"`` or ``"(RMS)"``: what the amplitudes of a map ``dataset`` are, by its ``amplitude_scaling``."""
+    """``"(peak)"`` or ``"(RMS)"``: scaling of the amplitudes of a map ``dataset``, by its ``amplitude_scaling``."""
     return "(RMS)" if str(dataset.attrs.get("amplitude_scaling", "peak")).casefold() == "rms" else "(peak)"
 
 
 def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tuple[float, str]:
     """Reference of a level in the channel's own unit, and its text for the colour bar.
 
-    ``quantity`` and ``unit`` of the channel; ``settings`` hold the references for acceleration [m/s²] and sound
-    pressure [Pa]. Returns (reference, text); any other quantity refers to one unit. Source: ISO 1683:2015, table 1.
+    ``quantity`` and ``unit`` are those of the channel; ``settings`` hold the references for acceleration [m/s²] and
+    sound pressure [Pa]; any other quantity refers to one unit. Source: ISO 1683:2015, table 1.
     """
     if quantity == "acceleration" and unit in _SI_ACCELERATION:
         reference = settings.acceleration_reference_m_s2
@@ -172,9 +179,10 @@ def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tu
 
 
 def channel_level(dataset: xr.Dataset, channel: int, *, settings: ReportSettings) -> tuple[float, str]:
-    """Reference of the level of a ``channel`` (its number) of a map ``dataset`` in its unit, and the text with both.
+    """Reference, in its unit, of the level of the channel with index ``channel``, and a text with level and reference.
 
-    ``settings`` as in :func:`level_reference`; the text says how the amplitudes of ``dataset`` are scaled.
+    ``dataset`` is a map (channel, speed, …), ``settings`` are those of :func:`level_reference`; the text says how the
+    amplitudes of ``dataset`` are scaled.
     """
     quantity, unit = (str(dataset[name].values[channel]) for name in ("quantity", "unit"))
     reference, text = level_reference(quantity, unit, settings=settings)
@@ -208,7 +216,7 @@ def not_judged_rpm(findings: Findings) -> list[float]:
 def named(value: object, *, limit: int) -> str:
     """Text from a file, safe to show: control characters as ``\\xNN``, cut with an ellipsis.
 
-    ``value`` any text; ``limit`` the greatest number of characters.
+    ``value`` is any text, ``limit`` the greatest number of characters.
     """
     return printable(value, limit)
 
@@ -234,7 +242,7 @@ def order_estimate(record: Any, findings: Findings) -> str:
 
 
 def is_in_doubt(mode_hz: float, findings: Findings) -> bool:
-    """True where no mode of ``findings`` at ``mode_hz`` is for certain a natural frequency."""
+    """True where no mode of ``findings`` at ``mode_hz`` (Hz, above 0) is a natural frequency for certain."""
     nearest = min(findings.modes, key=lambda mode: abs(mode.frequency_hz - mode_hz), default=None)
     if nearest is None or is_undecided(nearest):
         return True
@@ -270,7 +278,7 @@ def least_of(record: object, key: str) -> float | None:
 def estimate_text(record: object, key: str, *, unit: str = "") -> str:
     """Estimate with its 95 % interval: ``"0.83 (0.81…0.85) m/s²"``; ``"–"`` where there is none.
 
-    ``record`` one of the findings; ``key`` the estimate's name; ``unit`` follows where given.
+    ``record`` is one of the findings, ``key`` the name of the estimate; ``unit`` follows where given.
     """
     return with_interval(getattr(record, key), getattr(record, f"{key}_ci95", None), unit=unit)
 
@@ -322,10 +330,10 @@ def is_fixed_tone(line: LineFinding) -> bool:
 
 
 def hertz_of_order(record: OrderFinding, findings: Findings) -> float | None:
-    """Frequency [Hz] by which an order ``record`` of the ``findings`` is called first; None where its order says more.
+    """Frequency [Hz] by which an order ``record`` of the ``findings`` is named first; None where its order says more.
 
-    That of a line of the mains or of a motor's field, and of one that at the only speed of a test is no multiple of the
-    half revolution: whether it goes with the speed nobody knows. A bearing's line has its order.
+    A frequency names lines of the mains or of a motor's field, and, in a test at one speed, lines at no multiple of the
+    half order, as it is not known whether they follow the speed. A line of a bearing is named by its order.
     """
     rpm = record.speed_rpm_at_max
     of_part = record.kinds[0] in ("bearing", "gear mesh")

@@ -75,8 +75,8 @@ _LABEL_AT = 0.6  # of the name of a channel from its panel, in inches
 def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
     """Per channel the median power spectral density over all speeds, and the peak spectrum at the highest speed.
 
-    Natural frequencies are marked and named over the left column, orders over the right one. ``campbell`` a
-    CampbellMap; ``findings`` of the same test; ``settings`` of the report.
+    Natural frequencies are marked and named over the left column, orders over the right one. ``campbell`` is a
+    CampbellMap (channel, speed, frequency), ``findings`` are those of the same test, ``settings`` those of the report.
     """
     speed = campbell["speed"].values
     fastest = int(np.argmax(np.nan_to_num(speed)))
@@ -106,11 +106,12 @@ def spectrum_figure(
 ) -> Drawing:
     """Peak spectrum of one channel of a test at one speed, or at none that is known: the one row of its Campbell map.
 
-    Over frequency [Hz] and, where the speed is known, order on a second axis below. Found orders and what stays at its
-    frequency are marked and named above; their causes stand at the right, that of the strongest line first.
+    The axis is frequency [Hz] and, where the speed is known, order on a second axis below. Found orders and lines that
+    stay at their frequency are marked and named above; their causes stand at the right, that of the strongest first.
 
-    ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the
-    report; ``sentence`` stands below the title. Raises ValueError for an unknown channel.
+    ``campbell`` is a CampbellMap (channel, speed, frequency), ``channel`` one of its channels, ``findings`` are those
+    of the same test, ``settings`` those of the report; ``sentence`` stands below the title. Raises ValueError for an
+    unknown channel.
     """
     fastest = int(np.argmax(np.nan_to_num(campbell["speed"].values)))
     row = campbell.isel(channel=[campbell["channel"].values.tolist().index(channel)], speed=fastest)
@@ -159,8 +160,8 @@ def column_boxes(
 ) -> tuple[Drawing, list[list[Box]]]:
     """Drawing for columns of ``n`` panels, and the boxes of each column, the highest first.
 
-    ``width`` of a panel and left edges (``lefts``) of the columns in inches; ``settings`` give the size of the drawing,
-    which grows with ``n``.
+    ``width`` of a panel and ``lefts``, the left edges of the columns, are in inches; ``settings`` give the size of the
+    drawing, which grows with ``n``.
     """
     row = max((settings.height_in - _BOTTOM - _TOP - (n - 1) * _ROW_GAP) / n, _LEAST_ROW)
     drawing = Drawing(settings.width_in, _TOP + _BOTTOM + n * row + (n - 1) * _ROW_GAP)
@@ -204,7 +205,7 @@ def column_panels(
 
 
 def draw_spectrum(panel: Panel, place: Floats, values: Floats, *, color: str = INK, name: str = "spectrum") -> None:
-    """Draw ``values`` over ``place`` (bins,) in ``panel`` as a line in ``color`` called ``name``."""
+    """Draw ``values`` over ``place``, both (bins,), in the units of ``panel`` as a ``color`` line called ``name``."""
     if np.any(values > 0):
         panel.curve(place, np.where(values > 0, values, np.nan), color=color, width=0.8, name=name)
     else:
@@ -246,7 +247,8 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
 
     The largest amplitude over the speeds would bury a steady order under the natural frequencies that sweep past it.
 
-    ``order_map`` an OrderMap, whose speeds may be unknown; ``findings`` of the same test; ``settings`` of the report.
+    ``order_map`` is an OrderMap (channel, speed, order), whose speeds may be unknown; ``findings`` are those of the
+    same test, ``settings`` those of the report.
     """
     drawing, (boxes,) = column_boxes(order_map.sizes["channel"], settings.width_in - _LEFT - _RIGHT, settings)
     order, (mean, floor) = order_map["order"].values, _mean_levels(order_map)
@@ -271,9 +273,10 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
 
 
 def ring_lines(panel: Panel, order: Floats, values: Floats, places: Sequence[float]) -> bool:
-    """Whether ``panel`` shows any line at ``places`` of a spectrum of ``values`` over ``order`` (n,); those are ringed.
+    """Ring the lines at ``places`` of a spectrum in ``panel``; returns whether there are any within it.
 
-    A ring is as high as the highest bin within two of its place.
+    The spectrum has ``values`` (bins,) over ``order`` (bins,); ``places`` are orders. A ring is as high as the highest
+    bin within two of its place.
     """
     reach = max(2 * float(np.median(np.diff(order))) if len(order) > 1 else 0.0, 1e-9)
     known = np.nan_to_num(values)
@@ -312,7 +315,7 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
 
     Parameters
     ----------
-    campbell_map : CampbellMap of :func:`crankorder.campbell_map`
+    campbell_map : CampbellMap (channel, speed, frequency) of :func:`crankorder.campbell_map`
     channel : name of the channel; the first where not given
     ax : axes to draw on; without them a new figure of pyplot's
 
@@ -371,7 +374,8 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     """Per channel the envelope's order spectrum, averaged over the speeds, with its floor and the bearings' lines.
 
     Expected orders are dashed and named above; those that were found are circled, with their multiples as thin lines.
-    ``envelope`` an EnvelopeMap; ``findings`` of the same test; ``settings`` of the report.
+    ``envelope`` is an EnvelopeMap (channel, speed, order), ``findings`` are those of the same test, ``settings`` those
+    of the report.
     """
     width = settings.width_in - _LEFT - _RIGHT
     drawing, (boxes,) = column_boxes(envelope.sizes["channel"], width, settings)
@@ -499,7 +503,7 @@ def envelope(
 
     Parameters
     ----------
-    envelope_map : EnvelopeMap of :func:`crankorder.envelope`
+    envelope_map : EnvelopeMap (channel, speed, order) of :func:`crankorder.envelope`
     channel : name of the channel; the first where not given
     speed_rpm : the nearest speed to this is drawn, rpm; without it that at which a line stands highest over the floor
     ax : axes to draw on; without them a new figure of pyplot's

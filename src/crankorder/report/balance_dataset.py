@@ -58,10 +58,16 @@ def balance_dataset(
 ) -> xr.Dataset:
     """Force by system, axis and order over ω², in N by speed, and as the curve that it draws during a revolution.
 
-    ``subject``: engine with its balance data. ``sheet``: its balance sheet. ``max_order``: highest order, that of the
-    sheet. ``speeds_rpm``: crank speeds, > 0, those of the sheet.
-    Returns dims system, axis ("x" along the cylinder, "y" across), order, speed, crank_angle; complex amplitudes a mean
-    Re(a exp(i order φ)). Engines of several cylinders also have ``moment`` over moment_axis.
+    ``force`` (system, axis, order) is in g mm, ``force_at_speed`` (system, axis, order, speed) in N, ``curve`` (system,
+    axis, crank_angle) in g mm; the axis is "x" along the cylinder or "y" across it. A complex amplitude a means
+    Re(a exp(i order φ)). Engines of several cylinders also have ``moment`` (moment_axis, order) in g mm².
+
+    Parameters
+    ----------
+    subject : engine with its balance data
+    sheet : its balance sheet
+    max_order : highest order, that of the sheet
+    speeds_rpm : crank speeds of the sheet, rpm, above 0
     """
     orders, angles = np.arange(1, max_order + 1), np.linspace(0, 1, max(_POINTS, 16 * max_order) + 1)
     ways = systems(subject)
@@ -114,10 +120,11 @@ def _with_moments(dataset: xr.Dataset, engines: Sequence[Engine], max_order: int
 
 
 def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
-    """Torques of gas and masses, and loads, of ``engine`` over its cycle at each of ``speeds_rpm``.
+    """Torques of gas and masses [N m], and loads [N], of ``engine`` over its cycle at ``speeds_rpm`` [rpm], above 0.
 
-    Dims speed, crank_angle (degrees), cylinder, bearing, and direction: "along" and "across" the cylinder for pins, "x"
-    and "z" of the engine for main bearings.
+    Torques are (speed, crank_angle), the angle in degrees, loads of walls (speed, cylinder, crank_angle), of pins
+    (speed, cylinder, direction, crank_angle) with the directions "along" and "across" the cylinder, of main bearings
+    (speed, bearing, axis, crank_angle) with the axes "x" and "z" of the engine.
     """
     by_speed = cycle_curves(engine, speeds_rpm)
     first, turn = by_speed[0], ("speed", "crank_angle")
@@ -155,9 +162,9 @@ def _phase_deg(amplitudes: Complexes) -> Floats:
 
 
 def order_sum(amplitudes: Complexes, crank_angle_rev: Floats) -> Floats:
-    """Sum over the orders 1, 2, …: shape (…, angle).
+    """Sum (…, angles) over the orders 1, 2, …, in the unit of ``amplitudes``.
 
-    ``amplitudes`` complex, shape (…, order); ``crank_angle_rev`` revolutions, shape (angle,).
+    ``amplitudes`` (…, orders) are complex, ``crank_angle_rev`` (angles,) are in revolutions.
     """
     orders = np.arange(1, amplitudes.shape[-1] + 1)
     turn = np.exp(2j * np.pi * orders[:, None] * crank_angle_rev)
@@ -169,12 +176,16 @@ def _about(long_name: str, units: str = "") -> dict[str, str]:
 
 
 def axis_names(balance: xr.Dataset) -> tuple[str, str]:
-    """What the axes x and y of ``balance`` are called: one cylinder has its own directions, several have Z and X."""
+    """Names of the axes x and y of the balance dataset ``balance`` (system, axis, …).
+
+    An engine of several cylinders, whose dataset has ``moment`` (moment_axis, order), has Z and X; a single cylinder
+    has its own directions.
+    """
     return ("along Z", "along X") if "moment" in balance else ("along the cylinder", "across the cylinder")
 
 
 def alike(curves: xr.DataArray) -> list[list[str]]:
-    """Names of the systems whose ``curves`` (system, …) are the same, together, in their order."""
+    """Names of the systems, grouped where their ``curves`` (system, …) are the same, in the order of ``curves``."""
     limit = NO_FORCE * float(np.abs(curves.values).max())
     groups: dict[str, list[str]] = {}
     for name in map(str, curves["system"].values):
@@ -185,12 +196,12 @@ def alike(curves: xr.DataArray) -> list[list[str]]:
 
 
 def label_of(name: str, balance: xr.Dataset) -> str:
-    """What the system ``name`` of ``balance`` is called."""
+    """Label of the system ``name`` of the balance dataset ``balance`` (system, axis, order)."""
     return str(balance.attrs[PLAIN]) if name == "none" else SYSTEMS[name][0]
 
 
 def called(names: Sequence[str], balance: xr.Dataset) -> str:
-    """``names`` of systems of ``balance``, what they have in common said once: ``"shafts 1 and 4"``."""
+    """``names`` of systems of ``balance`` (system, …) in one text that says common words once: "shafts 1 and 4"."""
     kinds: dict[str, list[str]] = {}
     for name in sorted(names, key=list(SYSTEMS).index):
         kind, _, mark = label_of(name, balance).rpartition(" ")
@@ -199,5 +210,5 @@ def called(names: Sequence[str], balance: xr.Dataset) -> str:
 
 
 def present(balance: xr.Dataset, names: Sequence[str]) -> list[str]:
-    """Those of the ``names`` of systems that ``balance`` has."""
+    """Those of the ``names`` of systems that the dataset ``balance`` (system, …) has."""
     return [name for name in names if name in balance["system"].values]

@@ -77,9 +77,9 @@ def _at_highest_speed(balance: xr.Dataset) -> tuple[float, float]:
 def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
     """Force along and across the cylinder against crank angle at the highest speed, before and after each balance.
 
-    Below it the moments of several cylinders: rocking moments left, roll moment right.
-    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
-    ``settings`` of the report.
+    Below it the moments of several cylinders: rocking moments left, roll moment right. ``balance`` is the dataset
+    (system, axis, order, crank_angle) of :func:`crankorder.report.balance_dataset.balance_dataset`, ``title`` that of
+    the engine, ``settings`` are those of the report.
     """
     speed, per_omega = _at_highest_speed(balance)
     rows: list[list[Chart]] = []
@@ -132,9 +132,10 @@ def _in_words(balance: xr.Dataset, per_omega: float) -> str:
 def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
     """Primary force, secondary force and their sum against crank angle at the highest speed, without any balancing.
 
-    Faint behind them all orders together. Positive away from the crankshaft: the piston pulls on its rod.
-    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
-    ``settings`` of the report. Source: Ruckle 2014, figure 7 (after Foale 2007).
+    All orders together lie faintly behind them. Forces are positive away from the crankshaft: the piston pulls on its
+    rod. ``balance`` is the dataset (system, axis, order, crank_angle) of
+    :func:`crankorder.report.balance_dataset.balance_dataset`, ``title`` that of the engine, ``settings`` are those of
+    the report. Source: Ruckle 2014, figure 7 (after Foale 2007).
     """
     speed, per_omega = _at_highest_speed(balance)
     plain, angle = balance.sel(system="none"), balance["crank_angle"].values
@@ -163,8 +164,9 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
     """Amplitude of the force by order along and across the cylinder, and moments of several cylinders, as bars.
 
     Newtons (or N·m) at the highest speed at the left, the amount over squared crank speed at the right, both
-    logarithmic. ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the
-    engine; ``settings`` of the report.
+    logarithmic. ``balance`` is the dataset (system, axis, order) of
+    :func:`crankorder.report.balance_dataset.balance_dataset`, ``title`` that of the engine, ``settings`` are those of
+    the report.
     """
     speed, per_omega = _at_highest_speed(balance)
     least = float(10 ** (-settings.dynamic_range_db / 20))  # of the largest, that a bar has
@@ -232,8 +234,9 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
 
     Counterweights come twice: by the first harmonic alone, whose curves are ellipses, and by all harmonics together.
     Up is along the cylinder, right is across it, to the side that the crank turns to; the crank turns clockwise.
-    ``balance`` as :func:`crankorder.report.balance_dataset.balance_dataset` makes it; ``title`` of the engine;
-    ``settings`` of the report.
+    ``balance`` is the dataset (system, axis, order, crank_angle) of
+    :func:`crankorder.report.balance_dataset.balance_dataset`, ``title`` that of the engine, ``settings`` are those of
+    the report.
     """
     speed, per_omega = _at_highest_speed(balance)
     angle, system = balance["crank_angle"].values, balance["system"].values.tolist()
@@ -286,10 +289,11 @@ def _crank_sense(drawing: Drawing, box: Box) -> None:
 
 
 def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Drawing:
-    """Turning moment of gas and masses against crank angle at the highest speed, and both by order beside one another.
+    """Turning moment of gas and masses against crank angle at the highest speed, and both by order side by side.
 
-    ``cycle`` as :func:`crankorder.report.balance_dataset.cycle_dataset` makes it; ``turning`` by speed, of the balance
-    sheet; ``title`` of the engine; ``settings`` of the report.
+    ``cycle`` is the dataset (speed, crank_angle) of :func:`crankorder.report.balance_dataset.cycle_dataset`,
+    ``turning`` the part of the balance sheet by speed, ``title`` that of the engine, ``settings`` are those of the
+    report.
     """
     drawing = Drawing(settings.width_in, settings.height_in)
     speed = float(cycle["speed"].values.max())
@@ -323,8 +327,9 @@ def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, 
 def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
     """Loads at the highest speed: the first cylinder's against crank angle, and every main bearing's as polar diagrams.
 
-    ``cycle`` as :func:`crankorder.report.balance_dataset.cycle_dataset` makes it, with loads; ``title`` of the engine;
-    ``settings`` of the report.
+    ``cycle`` is the dataset (speed, cylinder, direction, crank_angle), with loads, of
+    :func:`crankorder.report.balance_dataset.cycle_dataset`, ``title`` that of the engine, ``settings`` are those of the
+    report.
     """
     speed = float(cycle["speed"].values.max())
     shown = cycle.sel(speed=speed)
@@ -364,8 +369,8 @@ def hinge_figure(
 ) -> Drawing:
     """Crank torque, side force without and with hinge, M12, and the moments of both hinges, for one mechanism.
 
-    ``engine``: whose torque drives it. ``mechanism``: one of the engine's. ``speeds_rpm``: crank speeds, > 0, a line
-    each. ``settings``: of the report.
+    ``engine`` is the engine whose torque drives it, ``mechanism`` one of its mechanisms; each of ``speeds_rpm``, crank
+    speeds [rpm] above 0, has a line. ``settings`` are those of the report.
     """
     crank, curve = mechanism.crank, engine.curve
 
@@ -427,8 +432,8 @@ def guide_figure(
 ) -> Drawing:
     """Guides of the hinges of a mechanism that has them, to scale, with spring and rollers (document 003, figure 7).
 
-    ``engine``: whose torque drives it. ``mechanism``: one of the engine's, with guides. ``speed_rpm``: crank speed that
-    they are for, > 0. ``settings``: of the report.
+    ``engine`` is the engine whose torque drives it, ``mechanism`` one of its mechanisms, with guides; ``speed_rpm`` is
+    the crank speed [rpm], above 0, for which they are designed. ``settings`` are those of the report.
     """
     side = (settings.width_in - 0.6) / 2 - 0.5
     drawing = Drawing(settings.width_in, side + 1.75)

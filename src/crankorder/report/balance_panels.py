@@ -23,7 +23,10 @@ _ROOM = 0.12  # above and below the curves, as a share of their range
 
 
 class Curve(NamedTuple):
-    """A line over the angles of a panel; ``text`` names it in the key of the panel, where it is not empty."""
+    """A line of ``values`` (angles,) over the angles of a panel, in its unit; ``width`` in points.
+
+    ``text`` names it in the key of the panel, where it is not empty.
+    """
 
     values: Floats
     color: str
@@ -37,7 +40,7 @@ class Curve(NamedTuple):
 def boxes_of(
     drawing: Drawing, rows: int, columns: int, *, top: float = _TOP, right: float = RIGHT, gap: float = _GAP_Y
 ) -> list[list[Box]]:
-    """Boxes of panels in ``rows`` from the top and ``columns``, ``gap`` inches between rows.
+    """Boxes [inches] of panels in ``rows`` from the top and ``columns``, with ``gap`` inches between rows.
 
     They leave ``top`` and ``right`` inches of the ``drawing`` free.
     """
@@ -58,7 +61,7 @@ def color_key(drawing: Drawing, box: Box, entries: Sequence[tuple[str, str]]) ->
 
 
 class Chart(NamedTuple):
-    """Curves in one ``unit`` against an angle, which ``label`` names."""
+    """``curves`` in one ``unit`` against an angle, which ``label`` names."""
 
     title: str
     unit: str
@@ -67,9 +70,10 @@ class Chart(NamedTuple):
 
 
 def draw_chart(drawing: Drawing, box: Box, chart: Chart, angle_deg: Floats, *, limit: float = 0.0) -> Panel:
-    """Panel with the curves of ``chart`` over whole turns; those that are nothing are named alone.
+    """Panel with the curves of ``chart`` over whole turns; curves of zeros are only named.
 
-    ``drawing`` and ``box`` of the panel; ``angle_deg`` of the values; the scale is ±``limit``, or as the curves need.
+    The panel lies on ``drawing`` in ``box``; ``angle_deg`` (angles,) are the crank angles [deg] of the values, from 0.
+    The scale is ±``limit`` in the unit of the chart, or as the curves need where that is 0.
     """
     title, unit, curves, label = chart
     values = np.array([np.zeros(len(angle_deg)), *(curve.values for curve in curves)])
@@ -98,9 +102,10 @@ def draw_chart(drawing: Drawing, box: Box, chart: Chart, angle_deg: Floats, *, l
 def draw_bars(
     panel: Panel, orders: Mapping[float, str], heights: Sequence[Floats], colors: Sequence[str], least: float
 ) -> None:
-    """Bars in ``colors`` around the places of ``orders``, whose texts name them; ``heights`` (bar, place) > ``least``.
+    """Draw bars in ``colors`` on ``panel`` around the places of ``orders``, whose texts name them.
 
-    ``panel`` to draw on. Sizes stand above the bars of a place, above the tallest alone where they are wider than bars.
+    ``heights`` are (places,) for each colour, in the unit of the panel; places without a bar above ``least`` are left
+    out. Sizes stand above the bars of a place, or above the tallest one only where they are wider than bars.
     """
     drawing, (left, bottom, width, _) = panel.drawing, panel.box
     pitch, unit_in = min(0.84 / len(heights), 0.42), width / (panel.x[1] - panel.x[0])
@@ -123,7 +128,10 @@ def draw_bars(
 
 
 class Polar(NamedTuple):
-    """A closed curve, its real part upwards and its imaginary part to the right, in a frame of ±``limit``."""
+    """A closed ``curve`` (points,), real part upwards and imaginary part to the right, in a frame of ±``limit``.
+
+    Both have one unit; ``captions`` are the lines of text above the frame.
+    """
 
     curve: Complexes
     color: str
@@ -136,7 +144,8 @@ def polar_grid(
 ) -> tuple[Drawing, list[list[Box]]]:
     """Drawing with polar diagrams in ``rows``, and their boxes.
 
-    ``settings`` of the report; a diagram is ``widest`` inches wide at most; ``above`` of the drawing stay free.
+    ``settings`` are those of the report. A diagram is ``widest`` inches wide at most; ``above`` inches of the drawing
+    stay free at its top.
     """
     step = (settings.width_in - LEFT - 0.05) / max(map(len, rows))
     side, head = min(step - 0.2, widest), 0.84
@@ -177,23 +186,26 @@ def _polar(drawing: Drawing, box: Box, polar: Polar) -> None:
 
 
 def arrow_head(drawing: Drawing, tail: Floats, tip: Floats, color: str) -> None:
-    """Head of an arrow on the ``drawing`` at ``tip`` that comes from ``tail``, in inches, in ``color``."""
+    """Head of an arrow in ``color`` on the ``drawing`` from ``tail`` (2,) at ``tip`` (2,), both x and y in inches."""
     along = 0.11 * (tip - tail) / max(float(np.hypot(*(tip - tail))), 1e-12)
     across = 0.4 * along[::-1] * (-1.0, 1.0)
     drawing.add(Area(np.array([tip, tip - along + across, tip - along - across]), color, name="sense"))
 
 
 def headed(drawing: Drawing, name: str, what: str, sentence: str, settings: ReportSettings) -> Drawing:
-    """The ``drawing`` with its title, the ``name`` of the engine and ``what`` is shown of it, and a ``sentence`` below.
+    """The ``drawing`` with a title, the ``name`` of the engine and ``what`` is shown, and a ``sentence`` below it.
 
-    ``settings`` of the report.
+    ``settings`` are those of the report.
     """
     title_lines(drawing, LEFT, f"{drawable(name, settings.max_name_characters)} · {what}", sentence)
     return drawing
 
 
 def frame_around(largest: float) -> float:
-    """Half the side of a frame around a curve that reaches ``largest``: a round number above it, 1 where that is 0."""
+    """Half the side of a frame around a curve of up to ``largest``, 0 or more, in one unit: a round number above it.
+
+    It is 1 where ``largest`` is 0.
+    """
     if largest == 0:
         return 1.0
     decade = 10.0 ** math.floor(math.log10(largest))

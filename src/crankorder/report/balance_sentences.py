@@ -26,16 +26,16 @@ _NO_FORCE = "no force"
 
 
 def plain_state(sheet: Part) -> str:
-    """What the engine of a ``sheet`` without shafts is called: an unbalance that its file states has counterweights."""
+    """Name of the engine of a balance ``sheet`` without its shafts; with counterweights if its file states them."""
     if not sheet["counterweights_in_file"]:
         return "with no balancing"
     return "as built" if sheet["shafts"]["own"] is None else "without its shafts"
 
 
 def balance_sentences(sheet: Part) -> list[str]:
-    """What remains unbalanced in sentences, the plain engine first.
+    """Sentences on what remains unbalanced, the plain engine first.
 
-    ``sheet``: of the engine; forces are named at the highest of its speeds.
+    ``sheet`` is the balance sheet of the engine; forces are named at the highest of its speeds.
     """
     speed_rpm = max(map(float, sheet["force_n"]))
     where = CYLINDER if sheet["strategies"] else FRAME
@@ -228,9 +228,9 @@ def _largest_left(layout: Part, speed_rpm: float) -> str:
 
 
 def tolerance_sentences(study: Part, speed_rpm: float) -> list[str]:
-    """What a series leaves, and what one mistiming adds.
+    """Sentences on the force and couple that a series of engines leaves, and on what one mistiming adds.
 
-    ``study``: of the tolerances. ``speed_rpm``: at which couples are named, > 0.
+    ``study`` is that of the tolerances; ``speed_rpm`` is the crank speed [rpm], above 0, at which couples are named.
     """
     spread, rocking = study["force_g_mm"], study["couple_g_mm2"]
     largest, worst = (max(left, key=lambda order: left[order]["95 %"]) for left in (spread, rocking))
@@ -307,9 +307,9 @@ def _of_crankshaft(crankshaft: Part, speed_rpm: float) -> list[str]:
 
 
 def single_causes(sheet: Part) -> Iterator[tuple[str, str, str, float, str | None]]:
-    """Cause, axis, order, amount (g·mm over ω²) and class of unbalance of what single causes leave of one cylinder.
+    """Cause, axis, order, amount (g·mm over ω²) and class of the unbalance that single causes leave in one cylinder.
 
-    ``sheet``: of the engine; causes that it has no data for are left out.
+    ``sheet`` is the balance sheet of the engine; causes without data in it are left out.
     """
     built, rod, added = sheet["shafts"]["second_order_built_for_lambda"], sheet["rod_split"], sheet["added_mass"]
     offset, cranks = sheet["offset"], sheet["reverse_cranks"]
@@ -364,7 +364,7 @@ def _of_reverse_cranks(cranks: Part, speed_rpm: float) -> list[str]:
 
 
 def hinge_sentences(sheet: Part) -> list[str]:
-    """What side force each mechanism of a hinge ``sheet`` has without a hinge and with one."""
+    """Sentences on the side force of each mechanism of a hinge ``sheet`` without a hinge and with one."""
     sentences = []
     for mechanism in sheet["mechanisms"]:
         without = mechanism["side_force_without_hinge_n"]

@@ -34,11 +34,15 @@ def paragraph(text: str, *, bullet: str = "") -> list[str]:
 
 
 def text_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[Cell]], *, kept: int = 1) -> list[str]:
-    """Lines of a table, none where it has no rows: title, heads, rows; numbers stand with their points in one column.
+    """Lines of a table, none where it has no rows: title, heads, rows; the points of numbers lie in one column.
 
-    ``title`` over the table. ``heads`` of the columns, units in them. ``rows`` of numbers, texts and None, which is
-    shown as a dash; rows and columns of None alone are left out. ``kept`` first columns that name a row: where the
-    table is wider than the page they are repeated, with the other columns below one another.
+    Parameters
+    ----------
+    title : title above the table
+    heads : heads of the columns, units included
+    rows : rows of numbers, texts and None, which is shown as a dash; rows and columns of None alone are left out
+    kept : number of first columns that name a row; where the table is wider than the page they are repeated, and the
+        other columns stand below one another
     """
     filled = [list(row) for row in rows if any(cell is not None for cell in row[kept:])]
     if not filled:
@@ -71,7 +75,7 @@ def _cell_text(cell: float | str) -> str:
 
 
 def short_number(value: float, *, digits: int = DIGITS) -> str:
-    """``value`` to at most ``digits`` significant digits, without the zeros that end it."""
+    """``value``, in any unit, to at most ``digits`` significant digits, without trailing zeros behind the point."""
     text = number_text(value, digits=digits)
     return text if "." not in text or "e" in text else text.rstrip("0").rstrip(".")
 
@@ -126,8 +130,8 @@ _MOMENTS = {"about_x": "about Z", "about_y": "about X", "about_crankshaft": "abo
 def table_of(title: str, columns: Mapping[str, str], parts: Iterable[Part], *, kept: int = 1) -> list[str]:
     """Lines of a table with a row for each of the ``parts`` of a sheet.
 
-    ``columns``: head of each column and the key of its values; "a.b" is the key b of the part a. ``title`` and ``kept``
-    as in :func:`text_table`.
+    ``columns`` are the key of the values of each column by its head; "a.b" is the key b of the part a. ``title`` and
+    ``kept`` are those of :func:`text_table`.
     """
     return text_table(title, list(columns), [_cells(part, columns.values()) for part in parts], kept=kept)
 
@@ -145,7 +149,7 @@ def _cells(part: Part, keys: Iterable[str]) -> list[Cell]:
 def balance_text(sheet: Part) -> str:
     """Tables and sentences of a balance ``sheet``, no line wider than a terminal's page.
 
-    Parts that it has no data for are left out.
+    Parts without data are left out.
     """
     lines = [printable(sheet["engine"], WIDTH), f"Crank ratio λ = {_crank_ratio(sheet['lambda'])}", ""]
     lines += text_table("Masses", ["", "g"], [(text, sheet["masses_g"][key]) for key, text in _MASSES.items()])

@@ -90,7 +90,7 @@ def _headline(comparison: Comparison) -> list[str]:
 
 
 def comparison_story(comparison: Comparison) -> Story:
-    """What changed, why, how sure and what to do, from a ``comparison``; the cause itself is the headline's."""
+    """What changed, why, how sure and what to do, from a ``comparison``; the cause itself stands in the headline."""
     return Story(
         what=[*_order_sentences(comparison), *_mode_sentences(comparison), *_growth_sentences(comparison)],
         why=[
@@ -376,7 +376,7 @@ _MARKED = frozenset({"yes", "invalid", "weakens"})
 def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], settings: ReportSettings) -> str:
     """HTML page of a ``comparison`` with its sentences, with no script and no network; all text is escaped.
 
-    ``pictures`` pairs of file name (beside the page) and caption; ``settings`` of the report.
+    ``pictures`` are pairs of a file name (beside the page) and a caption; ``settings`` are those of the report.
     """
     from crankorder.report.page import rendered_page  # loads jinja, which the numbers do not need
 

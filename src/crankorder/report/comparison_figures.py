@@ -22,11 +22,12 @@ _TREND_RIGHT, _TREND_TOP, _TREND_LEAST_DB = 2.6, 0.85, 3.0
 
 
 def order_change_figure(changes: xr.Dataset, comparison: Comparison, *, settings: ReportSettings) -> Drawing:
-    """Second test over first [dB] with 95 % bands against speed, of the orders that changed; a panel per channel.
+    """Second test over first [dB] with 95 % bands against speed [rpm], of the orders that changed; a panel per channel.
 
     Orders that did not change are light lines; dots are speeds at which a change is claimed.
 
-    ``changes`` the dataset ``order_change`` of a ``comparison`` with its sentences; ``settings`` of the report.
+    ``changes`` is the dataset ``order_change`` (line, speed) of ``comparison``, a line being an order in a channel;
+    ``settings`` are those of the report.
     """
     channels = list(dict.fromkeys(changes["channel"].values.tolist()))
     columns = min(len(channels), _COLUMNS)
@@ -116,11 +117,10 @@ def _draw_line(panel: Panel, changes: xr.Dataset, row: int, at: Ints, color: str
 
 
 def trend_figure(comparison: Comparison, *, settings: ReportSettings) -> Drawing:
-    """Amplitude of each line over its own in the first run [dB] against the run, and what was fitted.
+    """Amplitude of each line over its own in the first run [dB] against the run, and the fitted growth.
 
     Lines whose growth is claimed have a colour, 95 % intervals and their fitted growth; the others are light.
-
-    ``comparison`` of two runs or more; ``settings`` of the report.
+    ``comparison`` is that of two runs or more, ``settings`` are those of the report.
     """
     drawing = Drawing(settings.width_in, settings.height_in)
     box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _TREND_RIGHT, settings.height_in - _BOTTOM - _TREND_TOP)

@@ -38,8 +38,8 @@ def cycle_figure(cycles: xr.Dataset, findings: Findings, *, settings: ReportSett
     """Mean cycle of every channel (rows) at the slowest, the middle and the fastest speed (columns), with its spread.
 
     Every panel has its own scale, for forces grow with the square of speed; it follows the mean, and a spread that
-    would make a line of it is given as a number only. Dead centres are marked. ``cycles`` a CycleAverage; ``findings``
-    of the same test; ``settings`` of the report.
+    would make a line of it is given as a number only. Dead centres are marked. ``cycles`` is a CycleAverage (channel,
+    speed, cycle_angle), ``findings`` are those of the same test, ``settings`` those of the report.
     """
     cycles = cycles.sortby("speed")
     held = np.flatnonzero(cycles["n_cycles"].transpose("channel", "speed").values.max(axis=0, initial=0))
@@ -192,7 +192,8 @@ def shapes_figure(shapes: xr.Dataset, findings: Findings, *, settings: ReportSet
 
     They are those of the speed with the largest amplitude of all. A hand's length is the amplitude beside the largest
     of its row in the same unit, its direction the phase, 0° to the right and growing anticlockwise; the pale field is
-    the 95 % interval. ``shapes`` an OperatingShapes; ``findings`` of the same test; ``settings`` of the report.
+    the 95 % interval. ``shapes`` are OperatingShapes (channel, speed, order), ``findings`` those of the same test,
+    ``settings`` those of the report.
     """
     at_speed = shapes.isel(speed=_loudest_speed(shapes))
     orders, channels = _strongest_orders(at_speed), range(at_speed.sizes["channel"])

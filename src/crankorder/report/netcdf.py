@@ -68,10 +68,10 @@ _MAX_BYTES = 2_000_000_000  # of all variables of a results file that is read ba
 def results_bytes(groups: Mapping[str, xr.Dataset], *, attrs: Mapping[str, Any]) -> bytes:
     """Bytes of a NetCDF-4 file with one group per dataset; publish them whole.
 
-    ``groups`` datasets by group name such as ``"order_map"`` or ``"findings/orders"``, stored as
+    ``groups`` are datasets of any dims by group name such as ``"order_map"`` or ``"findings/orders"``, stored as
     :func:`crankorder.report.netcdf.published` has them; complex variables become two with ``_real`` and ``_imag``,
-    estimates 32-bit floats, everything numeric gzip + shuffle + fletcher32. ``attrs`` of the file: text and numbers
-    stay, None is left out, anything else becomes JSON. No time of writing is stored.
+    estimates 32-bit floats, everything numeric gzip + shuffle + fletcher32. ``attrs`` are the attributes of the file:
+    text and numbers stay, None is left out, anything else becomes JSON. No time of writing is stored.
     """
     # in memory, readable by every HDF5 since 1.10, metadata with checksums
     file = h5py.File("results", "w", driver="core", backing_store=False, block_size=1 << 20, libver=("v110", "v110"))
@@ -88,7 +88,10 @@ def results_bytes(groups: Mapping[str, xr.Dataset], *, attrs: Mapping[str, Any])
 
 
 def as_stored(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
-    """``groups`` with every value as :func:`results_bytes` keeps it, so that a picture redrawn later is the same."""
+    """``groups`` (datasets of any dims) with values as :func:`results_bytes` keeps them: pictures redrawn are the same.
+
+    Dims and shapes stay.
+    """
 
     def stored(values: xr.DataArray) -> xr.DataArray:
         is_float = values.dtype.kind == "f"
@@ -98,7 +101,7 @@ def as_stored(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
 
 
 def plain_attrs(dataset: xr.Dataset) -> xr.Dataset:
-    """``dataset`` with attributes that any NetCDF writer takes: numbers, arrays of numbers and text."""
+    """``dataset`` (any dims) with attributes that any NetCDF writer takes: numbers, arrays of numbers and text."""
     plain = dataset.copy(deep=False)
     plain.attrs = _plain(dataset.attrs)
     return plain
@@ -195,8 +198,9 @@ def read_results(path: Path) -> dict[str, xr.Dataset]:
     ``_real``/``_imag`` pairs are complex again, and parts by quantity one variable
     (:func:`crankorder.channel_units.by_channel`).
 
-    ``path`` of a file that :func:`results_bytes` made. Raises InputError where it cannot be read or is no results file,
-    UnsafeInputError where it reaches outside itself or claims more than 2 GB.
+    ``path`` is that of a file that :func:`results_bytes` made; dims are those of ``data_schema/``. Raises InputError
+    where it cannot be read or is no results file, UnsafeInputError where it reaches outside itself or claims more than
+    2 GB.
     """
     try:
         if path.stat().st_size > _MAX_BYTES:
@@ -326,7 +330,7 @@ def _read_attrs(owner: h5py.Group | h5py.Dataset) -> dict[str, object]:
 
 
 def published(dataset: xr.Dataset) -> xr.Dataset:
-    """``dataset`` as it stands in a file or a tree that a user opens.
+    """``dataset`` (any dims, which stay) as it stands in a file or a tree that a user opens.
 
     Its units are real (:func:`crankorder.channel_units.with_real_units`), each estimate names its intervals and errors
     in ``ancillary_variables``, amplitudes say how they are scaled, phases from where they count. Its quality flags are
@@ -364,7 +368,10 @@ def _conventions(base: str, dataset: xr.Dataset) -> dict[str, str]:
 
 
 def root_attrs(findings: Findings, groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
-    """Attributes of a whole file of results, as CF and ACDD name them, for ``findings`` and what is in ``groups``."""
+    """Attributes of a whole file of results, as CF and ACDD name them.
+
+    They tell of ``findings`` and of the datasets ``groups`` (any dims) by group name.
+    """
     low, high = findings.speed_range_rpm
     names = ", ".join(f"{channel.name} [{channel.unit}]" for channel in findings.channels)
     at = f" at {low:.6g} to {high:.6g} rpm" if low is not None and high is not None else ""

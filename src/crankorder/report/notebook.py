@@ -34,12 +34,11 @@ class Sheet(dict[str, object]):
 
 
 def tests_table(tests: Mapping[str, Findings | None]) -> xr.Dataset:
-    """Table of tests, a row (dimension ``test``) each, from the findings of each by folder; None where it has none.
+    """Table of tests, each variable (test,), from ``tests``: their findings by folder, None where a test has none.
 
-    ``tests``: findings by folder. ``folder`` is that of the test in the results; speeds are in rpm; of
-    ``strongest_order`` in the channels of the first one's ``unit`` there is the peak ``amplitude`` and the ``cause``;
-    ``natural_frequencies`` and ``bearing_lines`` are counted; ``avoid_rpm`` is the worst speed to avoid; what is not
-    known is NaN or empty.
+    ``folder`` is that of the test in the results; speeds are in rpm; ``strongest_order`` is that of the channels with
+    the ``unit`` of the first one, with its peak ``amplitude`` and its ``cause``; ``natural_frequencies`` and
+    ``bearing_lines`` are counts; ``avoid_rpm`` is the worst speed to avoid. Unknown values are NaN or empty.
     """
     rows = [{"folder": folder, **_row_of(findings)} for folder, findings in tests.items()]
     table = xr.Dataset(attrs={"title": "Tests of this folder"})

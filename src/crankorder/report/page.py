@@ -71,7 +71,7 @@ HINT = "Point at a cell, or use the arrow keys: what is there, and what the find
 
 @dataclass(frozen=True)
 class ShownPicture:
-    """A picture of a page: its ``file`` beside the page, its ``caption``, and as ``png`` what the page itself holds."""
+    """A picture of a page: its ``file`` beside the page, its ``caption``, and the ``png`` inside the page itself."""
 
     file: str
     caption: str
@@ -88,10 +88,11 @@ def report_page(
 ) -> str:
     """HTML page of a test: what shakes, why, how sure and what to do; pictures; tables with intervals; provenance.
 
-    ``findings`` as in ``data_schema/findings.json``; ``pictures`` in the order of the page; ``provenance`` as in
-    ``data_schema/run.json``; ``settings`` of the report; ``groups`` datasets of the results by name, which the page's
-    own script draws. All text is escaped; the page needs no other file: pictures stand in it as PNG up to 1.8 MB in
-    all, those beyond that are links to the files beside it.
+    ``findings`` are those of ``data_schema/findings.json``, ``pictures`` stand in the order of the page, ``provenance``
+    is that of ``data_schema/run.json``, ``settings`` are those of the report; ``groups`` are the datasets of the
+    results by name, with the dims of ``data_schema/``, which the script of the page draws. All text is escaped. The
+    page needs no other file: pictures stand in it as PNG up to 1.8 MB in all, further ones are links to files beside
+    it.
     """
     limit = settings.max_name_characters
     lead, story = headline(findings)[0], story_of(findings)
@@ -140,8 +141,8 @@ def _base64(data: bytes) -> str:
 def index_page(tests: Sequence[Mapping[str, Any]]) -> str:
     """HTML list of all tests of a run, each with its status, headline and link, and the recordings that failed.
 
-    ``tests``: of each ``name``, ``status``, ``headline`` (sentences), ``link`` to its report relative to the index, and
-    ``failed`` (``recording`` and ``error`` of each); what is missing is left out.
+    Each of ``tests`` has ``name``, ``status``, ``headline`` (sentences), ``link`` to its report relative to the index,
+    and ``failed`` (``recording`` and ``error`` of each); missing keys are left out.
     """
     text = partial(named, limit=_ERROR_CHARACTERS)
     rows = []
@@ -164,7 +165,7 @@ def _beside(path: str) -> str:
 
 
 def rendered_page(template: str, *, has_script: bool = False, **values: object) -> str:
-    """Page by a ``template`` of this room with its ``values``: every text is escaped, and no network is reached.
+    """Page made from a ``template`` of this room and its ``values``: all text is escaped, no network is used.
 
     The content security policy allows its pictures, its one style and, where it ``has_script``, its script by hash.
     Style and script are our own files, never text from data.
@@ -200,8 +201,9 @@ Record = dict[str, object]
 def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings: ReportSettings) -> str:
     """JSON for the script of the page, safe inside a script element; empty where there is neither map nor track.
 
-    ``groups`` datasets of the results by name; ``findings`` of the test; ``settings`` of the report. Of maps with many
-    cells neighbouring columns are pooled by their maximum, and the last channels left out, so that a page stays below
+    ``groups`` are the datasets of the results by name: maps (channel, speed, order or frequency) and tracks (channel,
+    order, speed); ``findings`` are those of the test, ``settings`` those of the report. In maps with many cells
+    neighbouring columns are pooled by their maximum, and the last channels are left out, so that a page stays below
     5 MB whatever its test holds.
     """
     first = next((groups[name] for name in (*_TITLES, "order_tracks") if name in groups), None)

@@ -46,7 +46,7 @@ class Picture:
 
 
 def prepare() -> None:
-    """Load what draws, with its fonts: worth doing before there is anything to show."""
+    """Load the drawing libraries and their fonts ahead of time."""
     from crankorder.plot.painter import picture_bytes
 
     picture_bytes(Drawing(1.0, 1.0, [Words(0.0, 0.0, "1"), Words(0.0, 0.0, "1", bold=True)]), dpi=50)
@@ -57,8 +57,9 @@ def pictures_of(
 ) -> dict[str, Picture]:
     """Pictures of a test by file name, in the order of the page, none of them drawn yet.
 
-    ``groups`` datasets of the results by name, of which any may be missing; ``findings`` of the test; ``settings`` of
-    the report; ``name_of`` a channel that part of a file name that stands for it (never the same for two).
+    ``groups`` are the datasets of the results by name, of which any may be missing, with the dims of ``data_schema/``;
+    ``findings`` are those of the test, ``settings`` those of the report. ``name_of`` gives the part of a file name that
+    stands for a channel, never the same for two.
     """
     pictures: dict[str, Picture] = {}
     if not settings.pictures:

@@ -63,8 +63,8 @@ _FOLDED = 400  # … and that it holds folded away; the files hold all
 class Table:
     """One table of the page; ``more`` is folded away under it, ``beside`` stands open under it, ``bars`` above it.
 
-    ``columns``: of each its ``title`` and whether it holds a ``number``. ``bars``: stacked ones of length 100, with
-    ``name`` and ``parts``, each with its ``kind``, ``start`` and ``width``.
+    Each of ``columns`` has its ``title`` and whether it holds a ``number``. ``bars`` are stacked bars of length 100
+    with ``name`` and ``parts``, each with its ``kind``, ``start`` and ``width``.
     """
 
     title: str
@@ -82,8 +82,8 @@ def table_of(
 ) -> Table:
     """Table ``title`` with ``heads`` separated by ``|``; a head that ends in ``#`` is a column of numbers.
 
-    ``rows`` of text, of which a page holds the first 400; ``empty`` stands in their place where there are none;
-    ``note`` stands above; ``more`` is folded away.
+    ``rows`` are of text; a page holds the first 400. ``empty`` stands in their place where there are none, ``note``
+    above them; ``more`` is folded away.
     """
     columns: list[dict[str, object]] = [
         {"title": head.removesuffix("#"), "number": head.endswith("#")} for head in heads.split("|")
@@ -105,7 +105,7 @@ def _folded(title: str, heads: str, rows: list[list[str]], *, empty: str, note: 
 def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
     """Anchor and table of every list in ``findings``; texts from files are cut at ``limit`` characters.
 
-    Of findings that were not asked for only the remarks on the recordings: an empty list of orders would deny them.
+    Findings that were not asked for have only the remarks on the recordings: an empty list of orders would deny any.
     Tables that only some findings have (tones, doubts, speeds to avoid, energy) are left out where they are empty.
     """
     if findings.not_asked_for:

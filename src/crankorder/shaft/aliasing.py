@@ -26,9 +26,9 @@ MOST_PROPOSED = 400
 
 @dataclass(frozen=True)
 class AliasedLine:
-    """Where a line of ``frequency_hz`` shows at each of ``speed_rpm`` (speeds,): at ``shown_order`` (speeds,).
+    """Where a line of ``frequency_hz`` shows: at ``shown_order`` (speeds,) at each of ``speed_rpm`` (speeds,).
 
-    ``folds`` (speeds,): whether it is folded there.
+    ``folds`` (speeds,) says whether it is folded there.
     """
 
     frequency_hz: float
@@ -47,8 +47,8 @@ class AliasedLine:
 class Alias:
     """Found lines that are folds of a fixed ``frequency_hz``.
 
-    ``points``: which of the found lines; ``false_aliases``: how many such would be found by chance; ``evidence``: in
-    words.
+    ``points`` (folds,) are the indices of these lines among the found ones, ``false_aliases`` how many such frequencies
+    chance alone would show, ``evidence`` says why in words.
     """
 
     frequency_hz: float

@@ -40,7 +40,7 @@ CARRIED_CUT_OFF = 0.05
 
 @dataclass(frozen=True)
 class AngleKnots:
-    """Knots (knots,) of crank angle: time [s], angle [rev], speed [rpm], standard error of the angle [rev].
+    """Knots of crank angle, each array (knots,): time [s], angle [rev], speed [rpm], standard error of the angle [rev].
 
     Between knots the angle is the cubic Hermite polynomial whose slopes are the speeds. ``cut_off_order`` is the order
     (cycles per crank revolution) above which motion is smoothed away, infinite where nothing is; ``noise_s`` the
@@ -216,7 +216,7 @@ def _stride_fits(time, slope, stride, every, allowed):  # type: ignore[no-untype
 
 
 def knots_of(shaft: xr.Dataset) -> dict[str, Floats]:
-    """Arguments of :func:`angle_at` and :func:`time_at` from the ShaftAngle ``shaft``."""
+    """Knots of the ShaftAngle ``shaft`` as arguments of :func:`angle_at` and :func:`time_at`, each (knots,)."""
     return {
         "knot_time_s": shaft.variables["time"].values,  # not shaft["time"], which gathers coordinates at a great cost
         "knot_angle_rev": shaft.variables["crank_angle"].values,
@@ -225,7 +225,7 @@ def knots_of(shaft: xr.Dataset) -> dict[str, Floats]:
 
 
 def angle_at(time_s: npt.ArrayLike, knot_time_s: Floats, knot_angle_rev: Floats, knot_speed_rpm: Floats) -> Floats:
-    """Crank angle [rev] at given times, NaN outside the knots; fastest for times that grow.
+    """Crank angle [rev], of the shape of ``time_s``, NaN outside the knots; fastest for rising times.
 
     Parameters
     ----------
@@ -240,9 +240,10 @@ def angle_at(time_s: npt.ArrayLike, knot_time_s: Floats, knot_angle_rev: Floats,
 def time_at(
     crank_angle_rev: npt.ArrayLike, knot_time_s: Floats, knot_angle_rev: Floats, knot_speed_rpm: Floats
 ) -> Floats:
-    """Time [s] at which given crank angles are passed: the exact inverse of :func:`angle_at`, NaN outside the knots.
+    """Time [s], of the shape of ``crank_angle_rev``, of crank angles: the inverse of :func:`angle_at`.
 
-    An angle outside them by rounding is their end, as that of a frame that ends with the record.
+    It is NaN outside the knots; an angle outside them by rounding, as of a frame that ends with the record, counts as
+    their end.
 
     Parameters
     ----------
@@ -383,7 +384,7 @@ RUNNING_SHARE, SLOWEST_RPM = 0.03, 20.0
 
 @dataclass(frozen=True)
 class SpeedCourse:
-    """Speed [rpm] of a recording at ``time_s``, its rate of change [rpm/s], and whether the shaft turns (times,)."""
+    """Speed of a recording [rpm] at ``time_s``, its rate of change [rpm/s], whether the shaft turns; each (times,)."""
 
     time_s: Floats
     speed_rpm: Floats
@@ -400,7 +401,8 @@ def smoothed_speed(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats | float)
     """Speed [rpm] at ``time_s`` (times,): slope of the parabola through the angle over ``stretch_s`` around each.
 
     ``shaft`` is a ShaftAngle by time. The stretch (times,) is cut at the ends of the record, where the slope of the
-    parabola is still that at ``time_s``. No single pulse says much of it, unlike of the slope between two knots.
+    parabola is still that at ``time_s``. A single pulse has little influence on it, unlike on the slope between two
+    knots.
     """
     known = shaft.variables["time"].values
     time_s = np.asarray(time_s, dtype=np.float64)
@@ -415,7 +417,11 @@ def smoothed_speed(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats | float)
 
 
 def speed_at_angle(shaft: xr.Dataset, angle_rev: Floats, stretch_rev: Floats | float) -> Floats:
-    """Speed [rpm] at ``angle_rev`` (angles,) of ``shaft``, over the time that ``stretch_rev`` around each takes."""
+    """Speed [rpm] (angles,) at ``angle_rev`` (angles,) of the ShaftAngle ``shaft``, over ``stretch_rev`` around each.
+
+    ``stretch_rev``, one or (angles,), is in revolutions; the speed is that of :func:`smoothed_speed` over the time that
+    it takes.
+    """
     knots = knots_of(shaft)
     first, last = knots["knot_angle_rev"][[0, -1]]
     half = 0.5 * np.asarray(stretch_rev, dtype=np.float64)

@@ -35,10 +35,10 @@ DEEPEST_RAD = 1.8412
 
 @dataclass(frozen=True)
 class Modulation:
-    """Error of the crank angle from one ``cause``, and what it does to a line.
+    """Error of the crank angle from one ``cause``, and its effect on a line.
 
-    ``random_rev``: standard deviation of what is random within a frame. ``tone_rev`` (tones,): amplitudes of what
-    swings at ``tone_order`` (tones,), cycles per crank revolution.
+    ``random_rev`` is the standard deviation [rev] of its random part within a frame, ``tone_rev`` (tones,) are the
+    amplitudes [rev] of its swings at ``tone_order`` (tones,), cycles per crank revolution.
     """
 
     cause: str
@@ -62,8 +62,9 @@ class Modulation:
 class Reference:
     """A shaft angle seen as a sampler of motion.
 
-    ``cut_off_order`` is that of its smoother, ``edge_step_s`` the step to which pulse times are rounded (0: none),
-    ``error_rev`` the standard deviation of the angle.
+    ``teeth_per_rev`` and ``revs_per_cycle`` are per crank revolution and per engine cycle, ``cut_off_order`` is that of
+    its smoother, ``edge_step_s`` the step [s] to which pulse times are rounded (0: none), ``error_rev`` the standard
+    deviation [rev] of the angle.
     """
 
     teeth_per_rev: float
@@ -74,22 +75,22 @@ class Reference:
 
     @property
     def pulse_error_rev(self) -> float:
-        """Standard deviation of one pulse: smoothing has divided it by the root of the pulses that it joins."""
+        """Standard deviation [rev] of one pulse: smoothing has divided it by the root of the pulses that it joins."""
         return self.error_rev * math.sqrt(max(1.0, self.teeth_per_rev / (2.1 * self.cut_off_order)))
 
     def smoothing(self, cycles_per_tooth: Floats) -> Floats:
-        """Gain of the smoother at each of ``cycles_per_tooth``."""
+        """Gain of the smoother, 0 to 1, at each of ``cycles_per_tooth`` (any shape)."""
         cut_off = self.cut_off_order / self.teeth_per_rev
         if cut_off > HIGHEST_CUT_OFF:
             return np.ones_like(cycles_per_tooth)
         return np.asarray(1.0 / (1.0 + (np.sin(np.pi * cycles_per_tooth) / math.sin(math.pi * cut_off)) ** 6))
 
     def lowest_unseen(self, above: float) -> float:
-        """Lowest order of the engine cycle that is beyond the order ``above``."""
+        """Lowest multiple of the order of the engine cycle beyond the order ``above``."""
         return (math.floor(above * self.revs_per_cycle + 1e-9) + 1) / self.revs_per_cycle
 
     def error_of_motion(self, order: float, amplitude_rev: float) -> tuple[Floats, Floats]:
-        """Orders and amplitudes [rev] of the error of the angle where it swings by ``amplitude_rev`` at ``order``.
+        """Orders (tones,) and amplitudes [rev] (tones,) of the error where it swings ``amplitude_rev`` at ``order``.
 
         Teeth sample the motion, so it shows at order - n teeth_per_rev for every whole n, with the gain that the cubic
         spline through the knots has there (Unser 1999); what the motion lacks and what the others add is error.
@@ -106,9 +107,9 @@ def lag_rev(order: float, irregularity: float) -> float:
 
 
 def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
-    """The Reference that the ShaftAngle ``shaft`` rests on; of an integrated speed, its error within a frame.
+    """The Reference that the ShaftAngle ``shaft`` (time) rests on; of an integrated speed, its error within a frame.
 
-    ``revs_per_frame`` is the length of a frame. ``teeth_per_rev`` is 0 where the angle has but two knots.
+    ``revs_per_frame`` is the length of a frame, rev. ``teeth_per_rev`` is 0 where the angle has only two knots.
     """
     attrs, error = shaft.attrs, shaft.variables["standard_error"].values
     n_pulses, revs = int(attrs["n_pulses"]), float(np.ptp(shaft.variables["crank_angle"].values))
@@ -127,16 +128,17 @@ def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
 
 
 def pulse_noise(reference: Reference, *, revs_per_frame: float) -> Modulation:
-    """Random error of the angle of ``reference`` within frames of ``revs_per_frame``."""
+    """Random error of the angle of ``reference`` within frames whose length is ``revs_per_frame`` revolutions."""
     left = min(reference.error_rev, reference.pulse_error_rev / math.sqrt(reference.teeth_per_rev * revs_per_frame))
     return Modulation("the noise of the pulses", random_rev=math.sqrt(reference.error_rev**2 - left**2))
 
 
 def seen_motion(shaft: xr.Dataset, reference: Reference) -> dict[float, float]:
-    """Amplitude [rev] of the in-cycle motion that ``shaft`` shows surely, by order: what its cycles have in common.
+    """Amplitude [rev], by order, of the in-cycle motion that the ShaftAngle ``shaft`` (time) shows for certain.
 
-    In each cycle time is compared with the cubic through the ends of it and of its neighbours, which takes away what a
-    run-up does. ``reference`` is that of ``shaft``; where motion is only what rounding makes of it, it is left out.
+    It is what the cycles have in common. In each cycle the time is compared with the cubic through its ends and those
+    of its neighbours, which removes the effect of a run-up. ``reference`` is that of ``shaft``; motion that rounding
+    alone may have made is left out.
     """
     turns, knots = reference.revs_per_cycle, knots_of(shaft)
     first, last = math.ceil(knots["knot_angle_rev"][0]), math.floor(knots["knot_angle_rev"][-1])
@@ -166,10 +168,10 @@ def seen_motion(shaft: xr.Dataset, reference: Reference) -> dict[float, float]:
 
 
 def expected_motion(reference: Reference, seen: Mapping[float, float], *, percent: float) -> dict[float, float]:
-    """Amplitude [rev] of in-cycle motion by order: what is ``seen``, and what ``reference`` does not show.
+    """Amplitude [rev] of in-cycle motion by order: that ``seen`` [rev], and that which ``reference`` does not show.
 
-    The strongest motion seen (by speed) goes on with 1 / order^2 to the lowest order that is not seen; without any,
-    ``percent`` of the speed at order 1 does.
+    The strongest motion seen (by speed) is continued with 1 / order^2 to the lowest order that is not seen; without
+    any, motion of ``percent`` of the speed at order 1 is.
     """
     motion = dict(seen)
     strongest = max(seen, key=lambda order: order * seen[order], default=0.0)
@@ -197,10 +199,10 @@ SOUGHT_ORDERS = np.geomspace(1e-2, 1e5, 2048)
 
 @dataclass(frozen=True)
 class ReferenceAudit:
-    """What the reference of a crank angle does to its orders.
+    """Effect of the errors of a crank angle on its orders.
 
-    Up to ``highest_carried_order`` neither loss nor sideband is above the limit; NaN where the angle has no error of
-    its own. ``causes``: noise and unseen motion, apart. ``remarks``: (flag, severity, detail) of each.
+    Up to ``highest_carried_order`` neither loss nor sideband is above the limit; it is NaN where the angle has no error
+    of its own. ``causes`` are noise and unseen motion, one by one; ``remarks`` are (flag, severity, detail) of each.
     """
 
     highest_carried_order: float
@@ -211,7 +213,7 @@ class ReferenceAudit:
 def reference_audit(
     shaft: xr.Dataset, *, orders: Sequence[float] | Floats, revs_per_frame: float, settings: ShaftSettings
 ) -> ReferenceAudit:
-    """What the reference of a crank angle carries, with remarks where it must be expected to bias one of ``orders``.
+    """Audit of the reference of a crank angle, with remarks where it must be expected to bias one of ``orders``.
 
     Parameters
     ----------

@@ -41,10 +41,9 @@ MISSED_TDC_REV = 0.1
 def cam_mark(place_rev: Floats, time_s: Floats) -> tuple[float, list[Remark]]:
     """Place [rev] of the cam mark in the cycle of two crank revolutions, by the majority of the cycles, and remarks.
 
-    NaN where the marks do not tell it; the remarks say why, and which marks are lost or extra.
-
-    ``place_rev``: (marks,), crank angle of the marks in revolutions, NaN where it is not known. ``time_s``: (marks,),
-    s, their times, for the remarks.
+    It is NaN where the marks do not tell it; the remarks say why, and which marks are lost or extra. ``place_rev``
+    (marks,) is the crank angle [rev] of the marks, NaN where it is not known, ``time_s`` (marks,) are their times [s]
+    for the remarks.
     """
     known = np.isfinite(place_rev)
     place, time_s = place_rev[known], time_s[known]
@@ -79,11 +78,14 @@ def cam_mark(place_rev: Floats, time_s: Floats) -> tuple[float, list[Remark]]:
 
 
 def firing_tdc(mark_rev: float, tdc_rev: float, cam_to_tdc_deg: float | None) -> tuple[float, list[Remark]]:
-    """The top dead centre [rev] that fires, of those that come once per revolution.
+    """Crank angle [rev] of the firing top dead centre, and remarks.
 
-    ``mark_rev``: place of the cam mark in the cycle. ``tdc_rev``: place of any top dead centre, NaN where only the cam
-    tells it. ``cam_to_tdc_deg``: crank angle from the mark to the firing one; None where it is not stated: then it is
-    the next one after the mark, or the mark itself.
+    Parameters
+    ----------
+    mark_rev : rev, place of the cam mark in the cycle
+    tdc_rev : rev, place of any top dead centre, NaN where only the cam tells it
+    cam_to_tdc_deg : deg, crank angle from the mark to the firing top dead centre; None where it is not stated: then it
+        is the next one after the mark, or the mark itself
     """
     not_stated = "cam_to_tdc_deg is not stated: the cycle starts with the next dead centre"
     flags: list[Remark] = [("cycle_from_cam", "info", not_stated)] if cam_to_tdc_deg is None else []
@@ -112,8 +114,8 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
 
     Parameters
     ----------
-    recording : Recording (see ``data_schema/recording.json``), sampled by time or by crank angle; the knots are on the
-        clock of its samples, the first of which is at ``start_s``
+    recording : Recording (channel, time or crank_angle) of ``data_schema/recording.json``; the knots are on the clock
+        of its samples, the first of which is at ``start_s``
     settings : how pulses become angle
 
     Raises
@@ -414,10 +416,10 @@ STEP_SHARE = 1e-3
 
 
 def joined(runs: Sequence[ShaftRun], teeth_per_rev: float) -> AngleKnots:
-    """Knots of all ``runs`` in turn, on the angle of the first.
+    """Knots of all ``runs`` one after the other, on the angle of the first.
 
-    Between two of them the shaft turns by the pulses between, of which ``teeth_per_rev`` make a revolution, to the
-    nearest angle at which the mark, where there is one, stands right; it slows down evenly, stands and speeds up.
+    Between two runs the shaft turns by the pulses there, of which ``teeth_per_rev`` make a revolution, to the nearest
+    angle that agrees with the mark, where there is one; it is taken to slow down evenly, stand and speed up.
     """
     knots = _within(runs[0].knots, -np.inf, runs[0].ends_s[1]) if len(runs) > 1 else runs[0].knots
     for before, run in pairwise(runs):

@@ -118,7 +118,7 @@ def _of_runs(runs: Sequence[int]) -> tuple[float, ...]:
 
 
 def angles_fault(angles_deg: Sequence[float]) -> str:
-    """What is wrong with the tooth angles ``angles_deg`` [deg] of one revolution, or an empty text."""
+    """Fault of the tooth angles ``angles_deg`` (teeth,) [deg] of one revolution in words, or an empty text."""
     if len(angles_deg) < 1 or angles_deg[0] != 0.0:
         return "tooth angles start at 0, tooth 1"
     if not angles_deg[-1] < 360.0:
@@ -129,7 +129,7 @@ def angles_fault(angles_deg: Sequence[float]) -> str:
 
 
 def grid_of(angles_deg: Sequence[float]) -> tuple[int, tuple[int, ...], tuple[float, ...]]:
-    """Even grid for the teeth at ``angles_deg``: its steps per revolution, the step of each tooth, and its offset.
+    """Even grid for teeth at ``angles_deg`` (teeth,) [deg]: its steps per revolution, step and offset of each tooth.
 
     Offsets are in steps and all 0 where the angles lie on a grid of FINEST_GRID steps or fewer; else the teeth of a
     hand-made wheel take the nearest steps of the grid that fits them best, one tooth to a step.

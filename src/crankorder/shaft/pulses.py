@@ -63,7 +63,7 @@ class NoPulsesError(InputError):
 
 @dataclass(frozen=True)
 class Pulses:
-    """Pulse times [s] from the start of the trace, the standard deviation of one of them [s], and remarks on them.
+    """Pulses of a trace: ``time_s`` (pulses,) from its start, the standard deviation ``noise_s`` of one, and remarks.
 
     ``flags`` holds (flag, severity, detail): severity is "info", "suspect" or "bad".
     """
@@ -306,7 +306,7 @@ def _cross(trace, sign, fired, level, bottom, top, position):  # type: ignore[no
 
 
 def listed_times(time_s: Floats) -> str:
-    """Words for the times ``time_s`` [s] of events: the first five, and how many more."""
+    """Words for the times ``time_s`` (events,) [s]: the first five, and how many more there are."""
     listed = ", ".join(f"{value:.6g}" for value in time_s[:5])
     return f"at {listed} s" + (f" and {time_s.size - 5} more" if time_s.size > 5 else "")
 
@@ -338,10 +338,11 @@ QUANTUM_SAMPLES = 1 << 17
 
 @dataclass(frozen=True)
 class Position:
-    """``pulses`` of a position, ``pulses_per_rev`` of them, and the times [s] at which it passes whole turns.
+    """``pulses`` made of a position, ``pulses_per_rev`` of them, and the times at which it passes whole turns.
 
-    ``cycle_s`` are those at which an angle of two turns starts anew, None where it does not; ``is_mark``: whether the
-    zero of the position is a place on the shaft, and not where a counter happened to start.
+    ``turn_s`` (turns,) are these times [s], ``cycle_s`` (cycles,) those [s] at which an angle of two turns starts anew,
+    None where it does not. ``is_mark`` says whether the zero of the position is a place on the shaft, and not where a
+    counter happened to start.
     """
 
     pulses: Pulses
@@ -354,11 +355,12 @@ class Position:
 def position_pulses(
     position: npt.NDArray[np.floating], *, rate_hz: float, units_per_rev: Sequence[float], counted: bool
 ) -> Position:
-    """Pulses of a sampled ``position`` (sample,), NaN where unknown, of a shaft that turns either way.
+    """Pulses of the sampled position of a shaft that turns either way.
 
     Parameters
     ----------
-    position : angle or count, which starts anew after any number, or grows or falls without end
+    position : (samples,), angle or count, which starts anew after any number, or grows or falls without end; NaN where
+        unknown
     rate_hz : samples per second
     units_per_rev : units of the position in a revolution; of several the first that the wraps agree with
     counted : whether the position is a count, a whole number below the true one, which may be a counter's of few bits
@@ -450,9 +452,9 @@ def _motion(at: Ints, step: Floats, expected: Floats) -> tuple[float, float]:
 
 
 def wrap_seen(values: npt.NDArray[np.floating]) -> tuple[float, bool] | None:
-    """Units after which ``values`` (sample,) start anew, 0 for never, and whether all steps but the jumps are alike.
+    """Units after which ``values`` (samples,) start anew, 0 for never, and whether all steps but the jumps are alike.
 
-    None where they do not go one way, as a position does.
+    None where they do not go in one direction, as a position does.
     """
     try:
         at, value, step, expected = _followed(values)

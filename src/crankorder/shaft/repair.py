@@ -46,10 +46,11 @@ FOLLOWED_SHARE = 0.6
 
 @dataclass(frozen=True)
 class FollowedWheel:
-    """Pulses that were kept, the tooth of each, counted on from tooth 0 of the first revolution, and how sure that is.
+    """Pulses that were kept, and the tooth of each.
 
-    ``margin`` is how much more the best way of another phase costs (in changes of the logarithm of the speed);
-    ``misfit`` the mean change from tooth to tooth.
+    ``kept`` (kept,) are the indices of the pulses, ``count`` (kept,) their teeth, counted on from tooth 0 of the first
+    revolution. ``margin`` is how much more the best assignment of another phase costs (in changes of the logarithm of
+    the speed), ``misfit`` the mean change from tooth to tooth.
     """
 
     kept: Ints
@@ -61,14 +62,20 @@ class FollowedWheel:
 def running_parts(
     time_s: Floats, *, pulses_per_rev: float, gap: float = 1.0, joined: bool = False, lossless: bool = False
 ) -> tuple[list[slice], list[Remark]]:
-    """The runs of pulses without a standstill, in turn, and remarks on what was left out.
+    """The runs of pulses without a standstill, in the order of time, and remarks on what was left out.
 
-    ``time_s``: (pulses,), s, increasing. ``pulses_per_rev``: pulses that come per crank revolution. ``gap``: the
-    widest distance of two of them over the usual one. ``joined``: all runs of two revolutions or more, and of pulses
-    enough to follow them, where the shaft stands between them; else only the longest. A hole that the speeds on both
-    sides fill with the same number of pulses is no standstill, unless they are
-    ``lossless``: none can be lost. One track cannot tell the direction: what turns less than a revolution beside a
-    standstill may be a kick-back and is flagged ``direction_unknown``.
+    A hole that the speeds on both sides fill with the same number of pulses is no standstill, unless the pulses are
+    ``lossless``. One track cannot tell the direction: a turn of less than a revolution beside a standstill may be a
+    kick-back and is flagged ``direction_unknown``.
+
+    Parameters
+    ----------
+    time_s : (pulses,), s, increasing
+    pulses_per_rev : pulses per crank revolution
+    gap : widest distance of two teeth over the usual one, 1 or more
+    joined : True for all runs of two revolutions or more, with pulses enough to follow them, where the shaft stands
+        between them; else only the longest
+    lossless : whether no pulse can be lost
     """
     step = np.diff(time_s)
     limit = gap * 60.0 / (STANDSTILL_RPM * pulses_per_rev)
@@ -177,7 +184,10 @@ NO_PULSES = "no_pulses"
 
 
 def silent_ends(recording: xr.Dataset, shaft: xr.Dataset) -> list[Remark]:
-    """Remarks on the ends of ``recording`` (a Recording by time) that its pulses leave out of ``shaft`` (its angle)."""
+    """Remarks on the ends of a recording that its pulses do not reach.
+
+    ``recording`` is a Recording (channel, time), ``shaft`` its ShaftAngle (time).
+    """
     if "pulse_time" not in recording or "rate_hz" not in recording.attrs:
         return []
     pulse_s, signal = (recording.variables[name].values for name in ("pulse_time", "signal"))
@@ -246,7 +256,7 @@ def _vibration_share(signal: Floats, edge: int, count: int) -> float:
 
 
 def followed_wheel(time_s: Floats, places: Floats, *, repeats: int) -> FollowedWheel:
-    """The teeth of an uneven wheel laid on a pulse train, whatever tooth comes first.
+    """Assignment of the teeth of an uneven wheel to a pulse train, whatever tooth comes first.
 
     Parameters
     ----------

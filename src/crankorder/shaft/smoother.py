@@ -35,9 +35,10 @@ SEARCH_FACTOR = 2.0**0.25
 
 
 def noise_from_differences(time_s: Floats, tooth: Ints) -> float:
-    """Standard deviation [s] of pulse times, from their fourth divided differences by the tooth, by the median.
+    """Standard deviation [s] of pulse times, by the median of their fourth divided differences over the tooth number.
 
-    ``time_s`` (pulses,) [s] of the teeth numbered ``tooth`` (pulses,), which grow. Of a long train a few blocks do.
+    ``time_s`` (pulses,) [s] are the times of the teeth numbered ``tooth`` (pulses,), rising. A few blocks of a long
+    train are enough.
     """
     if time_s.size < 8:
         return 0.0
@@ -55,7 +56,7 @@ def noise_from_differences(time_s: Floats, tooth: Ints) -> float:
 def penalty_of(cut_off: float, spacing: float = 1.0) -> float:
     """Penalty on squared third differences for a half-gain frequency of ``cut_off`` cycles per pulse.
 
-    ``spacing``: teeth per pulse, 1 where every tooth has one.
+    ``spacing`` is the number of teeth per pulse, 1 where every tooth has one.
     """
     return spacing**5 * (1e-9 if cut_off > HIGHEST_CUT_OFF else (2.0 * math.sin(math.pi * cut_off)) ** -6)
 
@@ -82,7 +83,8 @@ def cut_off_of(grid: Floats, weight: Floats, *, noise_s: float, floor: float, ma
     weight : (teeth,), 1 where a tooth has a pulse, else 0
     noise_s : standard deviation of one pulse time, s
     floor : lowest cut-off to return, cycles per pulse; kept as it is where the residual there is noise
-    margin : 1 or more, on a cut-off above the floor; bias falls with its sixth power, noise grows with its square root
+    margin : factor of 1 or more on a cut-off above the floor; bias falls with its sixth power, noise grows with its
+        square root
     """
     spacing = float(weight.size / weight.sum())
     n_blocks = min(MAX_BLOCKS, max(1, int(grid.size / (BLOCK_PULSES * spacing))))

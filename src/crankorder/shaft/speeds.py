@@ -114,11 +114,11 @@ FEWEST_CYCLES = 2
 
 @dataclass(frozen=True)
 class SpeedSwing:
-    """Peak amplitudes (rpm) of a speed at ``orders``, about its mean ``speed_rpm``, over ``cycles`` whole cycles.
+    """Peak amplitudes [rpm] of a speed at ``orders`` (orders,) about its mean ``speed_rpm``, over ``cycles`` cycles.
 
-    ``amplitude_rpm`` (orders,) is the root of the mean square over the cycles, what differs from cycle to cycle
-    included; ``steady_rpm`` (orders,) is that of the mean cycle; ``doubt_rpm`` (orders,) is what the teeth of the wheel
-    may make of it.
+    ``amplitude_rpm`` (orders,) is the root of the mean square over the whole cycles, differences between cycles
+    included; ``steady_rpm`` (orders,) is that of the mean cycle; ``doubt_rpm`` (orders,) is how much the teeth of the
+    wheel may add to it.
     """
 
     speed_rpm: float
@@ -130,7 +130,7 @@ class SpeedSwing:
 
     @property
     def told(self) -> Bools:
-        """Which ``orders`` swing for certain: far more than the cycles scatter or teeth make, and worth mention."""
+        """Which ``orders`` (orders,) swing for certain: far above the cycles' scatter and the teeth, worth mention."""
         scatter = np.sqrt(np.maximum(self.amplitude_rpm**2 - self.steady_rpm**2, 0.0) / self.cycles)
         sure = (self.steady_rpm > SURE * scatter) & (self.steady_rpm > self.doubt_rpm)
         return sure & (self.steady_rpm > LEAST_SHARE * self.speed_rpm)
@@ -144,7 +144,7 @@ WHOLE = 1e-6
 
 
 def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
-    """Swing of the speed of ``shaft`` (ShaftAngle) at the multiples of its cycle's order; None where not known."""
+    """Swing of the speed of the ShaftAngle ``shaft`` (time) at multiples of its cycle's order; None where not known."""
     known = swing_of_cycles(shaft)
     if known is None:
         return None
@@ -157,10 +157,14 @@ def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
 def speed_swings(
     shafts: Iterable[xr.Dataset], *, of_encoder: Collection[float], encoder_deg: Mapping[float, float]
 ) -> tuple[SpeedSwingFinding, ...]:
-    """Swing of the speed of each of ``shafts`` within its cycle, by order, the largest first; only what is certain.
+    """Swings of the speed within the cycle that are certain, recording by recording, the largest first.
 
-    At the orders ``of_encoder`` the encoder itself swings: that is no motion of the shaft. An encoder could show those
-    that are no larger than ``encoder_deg`` at its order.
+    Parameters
+    ----------
+    shafts : ShaftAngles (time) of the recordings
+    of_encoder : orders at which the encoder itself swings: that is no motion of the shaft
+    encoder_deg : by order, largest amplitude of the angle [deg] that an encoder could show; a swing no larger is marked
+        ``may_be_encoder``
     """
     records = []
     for shaft in shafts:
@@ -185,11 +189,12 @@ def speed_swings(
 
 
 def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, Complexes] | None:
-    """Orders, mean speed [rpm] (cycles,) and complex amplitude [rpm] (cycles, orders) in each whole cycle of ``shaft``.
+    """Orders (orders,), mean speed [rpm] (cycles,) and complex amplitude [rpm] (cycles, orders) in each whole cycle.
 
-    None without pulses, in fewer than FEWEST_CYCLES, and where a standstill or a reversal leaves no angle that grows.
-    Phases are from angle 0. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to
-    HIGHEST, to those that the knots resolve, and to the cut-off of the smoother where it says one.
+    ``shaft`` is the ShaftAngle. None without pulses, in fewer than FEWEST_CYCLES, and where a standstill or a reversal
+    leaves no angle that grows. Phases are from angle 0. The trend over each cycle is taken out, so that a run-up is no
+    swing. Orders reach to HIGHEST, to those that the knots resolve, and to the cut-off of the smoother where it says
+    one.
     """
     time, angle, speed = (shaft.variables[name].values for name in ("time", "crank_angle", "speed"))
     known = np.isfinite(time) & np.isfinite(angle) & np.isfinite(speed)
@@ -220,7 +225,10 @@ def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, Complexes] | Non
 
 
 def swing_remarks(shaft: xr.Dataset, settings: ShaftSettings) -> list[Remark]:
-    """Remark where the speed of ``shaft`` swings at high orders by more than ``settings`` say a shaft can."""
+    """Remark where the speed of the ShaftAngle ``shaft`` (time) swings at high orders by more than a shaft can.
+
+    The limit is ``settings.largest_swing_percent``, in per cent of the mean speed; at most one remark is returned.
+    """
     swing = speed_swing(shaft)
     if swing is None:
         return []
@@ -268,11 +276,11 @@ _TRACES = {
 
 
 def speed_trace(time_s: Floats, speed_rpm: Floats) -> tuple[Floats, ...]:
-    """Time, mean, lowest and highest speed of KNOTS equal pieces of time, NaN where a piece holds nothing.
+    """Time [s], mean, lowest and highest speed [rpm], each (KNOTS,), of equal pieces of time; NaN where one is empty.
 
-    ``time_s`` ascending and ``speed_rpm``, both (n,). The mean is that over time (trapezes), so that knots that crowd
-    in a fast part of a turn count no more than others. Recordings of fewer knots are kept as they are,
-    with NaN behind them.
+    ``time_s`` (knots,) [s], rising, and ``speed_rpm`` (knots,) are the knots of the speed. The mean is that over time
+    (trapezoidal rule), so that dense knots in a fast part of a revolution count no more than others. Recordings of
+    fewer knots are kept as they are, with NaN behind them.
     """
     known = np.isfinite(time_s) & np.isfinite(speed_rpm)
     time, speed = np.asarray(time_s, dtype=float)[known], np.asarray(speed_rpm, dtype=float)[known]
@@ -349,7 +357,7 @@ _ENDS = 0.02
 
 
 def speed_in_name(name: str) -> float | None:
-    """Speed in rpm that the ``name`` of a file states, such as 800 in "800rpm" or "idle_n800"; None where none."""
+    """Speed [rpm] that the ``name`` of a file states, such as 800 in "800rpm" or "idle_n800"; None where none."""
     for sign in () if _SPEED_RANGE.search(name) else _SPEED_IN_NAME:
         match = sign.search(name)
         if match and float(match[1].replace(",", ".")) > 0:
@@ -358,7 +366,10 @@ def speed_in_name(name: str) -> float | None:
 
 
 def named_speed_remarks(shaft: xr.Dataset) -> list[Remark]:
-    """Remark where the name of the recording of the ShaftAngle ``shaft`` states a speed far from all that it shows."""
+    """Remark where the name of a recording states a speed [rpm] far from all speeds in its ShaftAngle ``shaft`` (time).
+
+    At most one remark is returned.
+    """
     named = speed_in_name(PurePath(str(shaft.attrs["recording"])).stem)
     speed = shaft["speed"].values[np.isfinite(shaft["speed"].values)]
     if named is None or not _SPEED_WORD.search(str(shaft.attrs["recording"])) or not speed.size:

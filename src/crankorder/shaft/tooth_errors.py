@@ -47,13 +47,14 @@ amplitude [rev] there up to which motion may be theirs."""
 
 @dataclass(frozen=True, eq=False)
 class ToothErrors:
-    """Errors of a wheel's teeth: ``line_error_rev`` (line,) true place less where it should be, in encoder revolutions.
+    """Errors of a wheel's teeth: ``line_error_rev`` (lines,), true place less ideal place, in encoder revolutions.
 
-    Line 0 is tooth number 0. ``rms_share`` is their size over the pitch; ``level_rev`` the root of the mean square
-    amplitude [rev] of a harmonic of them, below which motion and teeth are not told apart; ``kept`` (harmonics) stay in
-    the angle, ``motion`` (harmonics) are those of them that stand out, of more than ``least_motion_rev`` where low;
-    ``standard_error_rev`` is what is left in the angle, ``print_rev`` amplitudes [rev] of some harmonics, from the
-    ``first_printed`` one on, by which a wheel is known again.
+    Line 0 is tooth number 0. ``rms_share`` is their root mean square over the pitch; ``level_rev`` the root of the mean
+    square amplitude [rev] of a harmonic of them, below which motion and teeth are not told apart; ``kept`` harmonics
+    stay in the angle, ``motion`` are those of them that stand out, of more than ``least_motion_rev`` where low.
+    ``standard_error_rev`` is the error [rev] left in the angle, ``n_revs`` the number of revolutions looked at,
+    ``print_rev`` (harmonics,) the amplitudes [rev] of some harmonics, from the ``first_printed`` one on, by which a
+    wheel is recognised.
     """
 
     line_error_rev: Floats
@@ -94,9 +95,9 @@ def tooth_errors(
 
 
 def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedTeeth:
-    """``teeth`` at the times at which they would have come without their ``errors``, if these grow.
+    """``teeth`` at the times at which they would have come without their ``errors``, as long as these times rise.
 
-    What a tooth number means stays: angle 0 is where line 0 should be, by the mean of all lines.
+    Tooth numbers keep their meaning: angle 0 is the ideal place of line 0, by the mean of all lines.
     """
     time_s, tooth, lines = teeth.time_s, teeth.tooth, errors.line_error_rev.size
     # over a part of a revolution that averages the noise of pulses, and in which the speed hardly changes
@@ -111,7 +112,7 @@ def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedT
 
 
 def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
-    """What the ``errors`` of a wheel of so many ``lines`` say; ``ratio``: encoder revolutions per crank revolution."""
+    """Remark on the ``errors`` of a wheel with so many ``lines``; ``ratio``: encoder per crank revolutions."""
     doubt = 2.0 * math.pi * errors.least_motion_rev
     moved = ", ".join(f"{harmonic * ratio:g}" for harmonic in errors.motion)
     stays = f"; order {moved} stands out of them: motion of the shaft" if moved else ""
@@ -129,9 +130,10 @@ def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
 
 
 def stated_teeth(errors: ToothErrors | None, *, ratio: float, tdc_rev: float) -> dict[str, Attribute]:
-    """Attributes of a ShaftAngle that say what of its motion may be the ``errors`` of the teeth.
+    """Attributes of a ShaftAngle that say how much of its motion may come from the ``errors`` of the teeth.
 
-    ``ratio``: encoder revolutions per crank revolution. ``tdc_rev``: crank angle [rev] of top dead centre from tooth 0.
+    ``ratio`` is encoder revolutions per crank revolution, ``tdc_rev`` the crank angle [rev] of top dead centre from
+    tooth 0.
     """
     if errors is None:
         return {TOOTH_LEVEL: 0.0, TOOTH_ORDER: 0.0, TOOTH_DOUBT: 0.0}
@@ -236,12 +238,13 @@ SPEED_ROUNDS = 2
 
 @dataclass(frozen=True, eq=False)
 class LinePattern:
-    """Mean place [rev] of each of the ``lines`` of one recording where even rotation would have it at line / lines.
+    """Mean deviation [rev] of each of the ``lines`` of one recording from its place line / lines in even rotation.
 
     Line 0 is tooth number 0; lines that the wheel does not have are filled in from their neighbours. ``harmonic_rev``
-    (order,) are the complex amplitudes of the places by order of the encoder, ``harmonic_variance`` (order,) the mean
-    squares of their errors [rev²]. ``cycle_rev`` are the complex amplitudes of the low orders 0, 1/k, 2/k … of the
-    k = ``period_revs`` encoder revolutions in which the motion repeats. ``n_revs`` encoder revolutions were looked at.
+    (orders,) are the complex amplitudes of the places by order of the encoder, ``harmonic_variance`` (orders,) the mean
+    squares of their errors [rev²]. ``cycle_rev`` (low orders,) are the complex amplitudes of the orders 0, 1/k, 2/k …
+    of the k = ``period_revs`` encoder revolutions in which the motion repeats. ``n_revs`` encoder revolutions were
+    looked at.
     """
 
     lines: int

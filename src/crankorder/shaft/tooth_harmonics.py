@@ -46,10 +46,10 @@ FRAMES_AT_ONCE = 256
 
 @dataclass(frozen=True)
 class SpeedEvidence:
-    """Log odds (knots, speeds) of a comb of orders against none, for knots ``time_s`` and speeds ``speed_hz``.
+    """``log_odds`` (knots, speeds) of a comb of orders against none, at ``time_s`` (knots,) and ``speed_hz`` (speeds,).
 
-    Lines count over the noise next to them. ``frames_per_knot`` is the number of independent frames that a knot is
-    worth. The speeds are even in the logarithm.
+    The height of a line counts over the noise next to it. ``frames_per_knot`` is the number of independent frames that
+    a knot is worth. The speeds [Hz] are even in the logarithm, the times in s.
     """
 
     time_s: Floats
@@ -72,7 +72,7 @@ def tooth_odds(
     weight: Floats,
     settings: ShaftSettings,
 ) -> SpeedEvidence:
-    """Evidence of every speed of a grid on common time knots.
+    """SpeedEvidence (knots, speeds) for every speed of a grid on common time knots.
 
     Parameters
     ----------
@@ -206,10 +206,11 @@ ODDS = _odds_table()
 def best_combs(power, floor, peak_bins, neutral, place, weight, table, best):  # type: ignore[no-untyped-def]
     """Raise ``best`` (frames, speeds) to the log odds of the combs whose teeth are at bins ``place`` (speeds, orders).
 
-    ``power``, ``floor``: (channels, frames, bins). A bin counts over its floor or over the power ``peak_bins`` beside
-    it, what is more; ``neutral`` (bins,) is 1 where it does not count; ``table``: the odds of a line for each power
-    over floor; ``weight``: (orders,). Channels hear the same noise in part: together they count as the root of their
-    number. Teeth outside the bins tell nothing.
+    ``power`` and ``floor`` are (channels, frames, bins). A bin counts by its power over its floor, or over the power
+    ``peak_bins`` beside it where that is larger; ``neutral`` (bins,) is 1 where a bin does not count. ``table``
+    (steps,) holds the odds of a line for each power over floor, ``weight`` (orders,) the probability that an order
+    shows. Channels have a part of their noise in common: together they count as the root of their number. Teeth outside
+    the bins do not count.
     """
     n_channels, n_frames, n_bins = power.shape
     share_of_channel = 1.0 / np.sqrt(n_channels)
@@ -266,8 +267,8 @@ def family_evidence(
     ----------
     signals : (channels, samples)
     rate_hz : samples per second
-    knots : the angle that is sure but for its ratio
-    ratio : (ratios,)
+    knots : angle that is known except for its ratio
+    ratio : (ratios,), fundamentals over the speed of ``knots``, above 0
     order : (orders,), orders of each fundamental
     weight : (orders,), 0…1, probability that the order shows
     """
@@ -321,9 +322,16 @@ def order_spectra(
 ) -> tuple[Complexes, Bools]:
     """Spectra (channels, frames, bins) by Hann frames evenly sampled in angle, and the bins (frames, bins) in the band.
 
-    ``signals``: (channels, samples), ``rate_hz`` samples per second. ``centre``: (frames,), middle of each frame of
-    ``revs`` revolutions on the angle of ``knots``. ``bins``: (bins,), each 1/(2 revs) orders; their phases count from
-    the start of the frame.
+    Phases count from the start of the frame.
+
+    Parameters
+    ----------
+    signals : (channels, samples)
+    rate_hz : samples per second
+    knots : knots of the angle
+    centre : (frames,), rev, middle of each frame
+    revs : revolutions of a frame
+    bins : (bins,), numbers of the bins, each 1 / (2 revs) orders wide
     """
     order = bins / (2.0 * revs)
     band = min(1.5 * float(order.max() * knots.speed_rpm.max()) / 60.0, PASS_BAND * rate_hz)

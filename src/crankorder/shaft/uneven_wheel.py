@@ -216,7 +216,12 @@ DISPLACED_RATIO = 4.0
 
 @dataclass(frozen=True)
 class Wheel:
-    """Teeth as they stand on an even grid: steps of the grid per revolution, step and offset of each tooth."""
+    """Teeth on an even grid of ``grid`` steps per revolution.
+
+    ``places`` (teeth,) are the steps at which they stand, rising, ``offsets`` (teeth,), or (1,) for all alike, their
+    distance from these in steps. ``repeats`` is how often the pattern repeats per revolution, ``name`` what it is
+    called.
+    """
 
     grid: int
     places: Ints
@@ -236,7 +241,7 @@ class Wheel:
 
     @property
     def spans(self) -> Ints:
-        """Steps from each tooth to the next."""
+        """Steps (teeth,) from each tooth to the next, the last to the first of the next revolution."""
         return np.diff(self.places, append=self.grid)
 
     @property
@@ -245,7 +250,7 @@ class Wheel:
         return float(self.spans.max() * self.places.size / self.grid)
 
     def angle_of(self, tooth: Ints) -> Floats:
-        """Where ``tooth`` (numbers on the grid) stand, in steps of it, with their offsets."""
+        """Places (any shape), in steps of the grid, of the teeth numbered ``tooth`` on it, with their offsets."""
         offset = np.zeros(self.grid)
         offset[self.places] = self.offsets
         return np.asarray(tooth + offset[tooth % self.grid])
@@ -270,7 +275,8 @@ def wheel_of(pulses_per_rev: int, missing_teeth: int = 0, *, tooth_angles_deg: S
 def gap_is_absent(time_s: Floats, kept: Ints, tooth: Ints, wheel: Wheel) -> bool:
     """Whether the longest interval in one of the gaps of the wheel is mostly no longer than a tooth.
 
-    ``time_s``: (pulses,), s. ``kept``: which of them are true. ``tooth``: their numbers on the grid of ``wheel``.
+    ``time_s`` (pulses,) are pulse times [s], ``kept`` (kept,) the indices of the true ones, ``tooth`` (kept,) their
+    numbers on the grid of ``wheel``.
     """
     number, span = np.searchsorted(wheel.places, tooth % wheel.grid), wheel.spans
     gaps = 2 + np.flatnonzero((span[number[2:-3]] > 1) & (np.diff(tooth)[2:-2] == span[number[2:-3]]))
@@ -285,9 +291,10 @@ def gap_is_absent(time_s: Floats, kept: Ints, tooth: Ints, wheel: Wheel) -> bool
 
 
 def displaced_teeth(time_s: Floats, tooth: Ints, wheel: Wheel, flags: list[Remark]) -> Bools:
-    """Which pulses are of a tooth beside a gap that stands off the line of the next three (a pickup bends there).
+    """Which pulses (pulses,) belong to a tooth beside a gap that deviates from the next three (a pickup errs there).
 
-    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers on the grid of ``wheel``. ``flags``: takes the remark.
+    ``time_s`` (pulses,) are pulse times [s], ``tooth`` (pulses,) their numbers on the grid of ``wheel``; the remark is
+    appended to ``flags``.
     """
     displaced = np.zeros(tooth.size, dtype=np.bool_)
     spans = wheel.spans
@@ -331,9 +338,9 @@ def _usual_off(time_s: Floats, tooth: Ints, wheel: Wheel) -> float:
 
 
 def times_on_grid(time_s: Floats, tooth: Ints, wheel: Wheel) -> Floats:
-    """Times at which the even teeth would pass, by the cubic through the four nearest true ones.
+    """Times [s] (pulses,) at which even teeth would pass, by the cubic through the four nearest true ones.
 
-    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers on the grid of ``wheel``.
+    ``time_s`` (pulses,) are pulse times [s], ``tooth`` (pulses,) their numbers on the grid of ``wheel``.
     """
     if tooth.size < 4 or not wheel.offsets.any():
         return time_s
@@ -364,12 +371,12 @@ CLEARLY_CHEAPER = 0.5
 
 
 def followed_from_steady(time_s: Floats, wheel: Wheel) -> FollowedWheel:
-    """The uneven ``wheel`` laid on the train of pulses; ``count`` are their numbers on its grid.
+    """Assignment of the uneven ``wheel`` to the pulses at ``time_s`` (pulses,) [s]; ``count`` are grid numbers.
 
-    The first interval sets the speed by which all others are judged. Where it hides a lost pulse, or starts from rest
-    so that the next ones shrink too fast to follow, it is a bad start: the train is followed from each of the next few
-    pulses too, and the pulses before are counted back from there. The way that costs less is taken. ``time_s``:
-    (pulses,), s.
+    The first interval sets the speed by which all others are judged. It is a bad start where it hides a lost pulse, or
+    where the shaft starts from rest so that the next intervals shrink too fast to follow: the train is therefore
+    followed from each of the next few pulses too, and the pulses before are counted back from there. The assignment of
+    least cost is taken.
     """
 
     def way(first: int) -> tuple[float, FollowedWheel]:
@@ -408,10 +415,10 @@ def _with_first_pulses(time_s: Floats, first: int, kept: Ints, tooth: Ints, whee
 
 
 def ends_put_right(time_s: Floats, kept: Ints, tooth: Ints, wheel: Wheel) -> tuple[Ints, Ints]:
-    """Pulses that are kept and their numbers, put right before the first gap and behind the last one.
+    """Indices (kept,) of pulses to keep and their numbers (kept,), corrected before the first gap and behind the last.
 
-    ``time_s``: (pulses,), s. ``kept``: which of them are true. ``tooth``: (kept,), their numbers on the grid of
-    ``wheel``, growing.
+    ``time_s`` (pulses,) are pulse times [s], ``kept`` (kept,) the indices of the true ones, ``tooth`` (kept,) their
+    rising numbers on the grid of ``wheel``.
     """
     true_s = time_s[kept]
     if not wheel.mostly_even or tooth.size < 2 * BESIDE + 2 or not (np.diff(true_s) > 0.0).all():

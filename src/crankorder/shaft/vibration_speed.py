@@ -30,8 +30,8 @@ from crankorder.shaft.wheel import wrapped
 def likeliest_run(log_odds: Floats, jump: int, cost: float) -> Ints:
     """States (knots,) of the likeliest run through a grid (Viterbi 1967).
 
-    ``log_odds``: (knots, states). ``jump``: most states between two knots. ``cost``: what a step of n states costs is n
-    squared times that.
+    ``log_odds`` (knots, states) are natural logarithms, ``jump`` is the most states between two knots; a step of n
+    states costs n² times ``cost``.
     """
     n, m = log_odds.shape
     came = np.zeros((n, m), dtype=np.int16)
@@ -55,8 +55,9 @@ def likeliest_run(log_odds: Floats, jump: int, cost: float) -> Ints:
 def run_probability(log_odds: Floats, path: Ints, offsets: Ints, jump: int, cost: float, near: int) -> Floats:
     """Probability (knots,) that the state is that of a run, or beside it by an offset (Baum et al. 1970).
 
-    ``log_odds``, ``jump``, ``cost``: as for :func:`likeliest_run`. ``path``: (knots,), the run. ``offsets``: states
-    from it to others that count as the same. ``near``: states from each of them that do too.
+    ``log_odds``, ``jump`` and ``cost`` are those of :func:`likeliest_run`, ``path`` (knots,) is the run. ``offsets``
+    (offsets,) are distances, in states, from it to others that count as the same, as do states up to ``near`` from each
+    of them.
     """
     n, m = log_odds.shape
     step = np.exp(-cost * np.arange(-jump, jump + 1.0) ** 2)
@@ -134,8 +135,8 @@ class Tie:
 class VibrationSpeed:
     """Crank angle and speed on ``knots``, as the vibration tells them.
 
-    ``confidence`` (0…1 per knot) is the probability that the speed is within 2 % of that told, by the model of lines
-    and noise; ``ties`` are other fundamentals that explain the lines nearly as well, best first.
+    ``confidence`` (knots,), 0 to 1, is the probability, by the model of lines and noise, that the true speed is within
+    2 % of the one found; ``ties`` are other fundamentals that explain the lines nearly as well, best first.
     """
 
     knots: AngleKnots
@@ -329,11 +330,17 @@ def _angle_of(time_s: Floats, speed_hz: Floats, end_s: float) -> AngleKnots:
 
 
 def phase_corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) -> AngleKnots:
-    """Angle that keeps the phases of the orders still.
+    """Angle that keeps the phases of the orders constant.
 
-    ``signals``: (channels, samples), ``rate_hz`` samples per second. ``run``: an angle from 0 on whose speed is right
-    to a per cent. ``order``: (orders,), orders that may show. The standard error of the angle is that between
-    a knot and the middle of all: noise, what the orders differ by, and what a frame averages away.
+    Its standard error is that between a knot and the middle of all knots: from noise, from differences between the
+    orders, and from motion that a frame averages out.
+
+    Parameters
+    ----------
+    signals : (channels, samples)
+    rate_hz : samples per second
+    run : angle, from 0 on, whose speed is right within a per cent
+    order : (orders,), orders that may show
     """
     for _ in range(PASSES):
         run = _corrected(signals, rate_hz, run, order)

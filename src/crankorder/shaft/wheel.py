@@ -31,13 +31,20 @@ from crankorder.shaft.uneven_wheel import (
 def at_index(
     time_s: Floats, tooth: Ints, index_time_s: Floats, wheel: Wheel, ratio: float, flags: list[Remark]
 ) -> tuple[Ints, float, float]:
-    """Teeth renumbered by the index marks, the tooth number of a mark, and the teeth between marks.
+    """Teeth (pulses,) renumbered by the index marks, the tooth number of a mark, and the teeth between marks.
 
-    A count that slips for good is put right where the teeth look all alike.
+    A count that slips for good is corrected where all teeth look alike.
 
-    ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers on ``wheel``, which turns ``ratio`` times per crank
-    revolution. ``index_time_s``: (marks,), s, of a mark on either shaft. ``flags``: takes the remarks. Raises
-    InputError where another count of teeth per mark is measured.
+    Parameters
+    ----------
+    time_s : (pulses,), s
+    tooth : (pulses,), their numbers on ``wheel``
+    index_time_s : (marks,), s, times of a mark on either shaft
+    wheel : wheel of the encoder
+    ratio : encoder revolutions per crank revolution
+    flags : list to which remarks are appended
+
+    Raises InputError where another count of teeth per mark is measured.
     """
     wanted, renumber = (wheel.grid, wheel.grid * ratio), wheel.even
     marks = index_time_s[(index_time_s >= time_s[0]) & (index_time_s <= time_s[-1])]
@@ -79,7 +86,7 @@ def at_index(
 
 
 def wrapped(value: Floats, period: float) -> Floats:
-    """``value`` less whole periods, within half a period of 0."""
+    """``value`` (any shape) less whole periods, from -``period`` / 2 to ``period`` / 2; both in one unit."""
     return np.asarray(value - period * np.round(value / period))
 
 
@@ -136,10 +143,11 @@ MOST_MISFIT = 0.4
 class NumberedTeeth:
     """Pulses that were kept, each with its tooth number on an endless wheel (lost teeth leave holes in the numbers).
 
-    ``index_tooth`` is the tooth number, possibly between teeth, of a revolution mark: the first tooth behind the gap,
-    the index, or the pulse itself; NaN where there is no such mark. ``n_repaired`` counts lost and false pulses.
-    ``teeth_per_rev`` are the even teeth per encoder revolution that the numbers count: of the full wheel, or of the
-    grid on which uneven teeth stand; ``index_period`` are those from one mark to the next.
+    ``time_s`` (pulses,) are their times [s], ``tooth`` (pulses,) the numbers. ``index_tooth`` is the tooth number,
+    possibly between teeth, of a revolution mark: the first tooth behind the gap, the index, or the pulse itself; NaN
+    where there is no such mark. ``n_repaired`` counts lost and false pulses. ``teeth_per_rev`` are the even teeth per
+    encoder revolution that the numbers count: of the full wheel, or of the grid on which uneven teeth stand;
+    ``index_period`` are those from one mark to the next.
     """
 
     time_s: Floats
@@ -166,7 +174,7 @@ def number_teeth(
     Parameters
     ----------
     time_s : (pulses,), s, not decreasing
-    wheel : that of the encoder, as :func:`wheel_of` gives it
+    wheel : wheel of the encoder, as :func:`wheel_of` gives it
     settings : ``double_pulse_ratio`` and ``lost_pulse_ratio`` bound a plausible interval of an even wheel;
         ``max_repaired_fraction`` is where repair ends and refusal begins
     index_time_s : (marks,), s, times of the once-per-revolution mark, or None
@@ -443,7 +451,11 @@ def _flag_lost(lost: Ints, time_s: Floats, tooth: Ints, wheel: Wheel, index_toot
 
 
 def stated_wheel(recording: xr.Dataset) -> tuple[Wheel, list[Remark]]:
-    """The wheel of ``recording``, found from the pulses where nothing states it, and remarks on how it was found."""
+    """The wheel of the Recording ``recording``, found from the pulses where nothing states it, and remarks on that.
+
+    Its ``pulse_time`` (pulse) [s] is read. Raises InputError where it holds no pulse times, or where nothing states the
+    wheel and the pulses do not tell it.
+    """
     if "pulse_time" not in recording.variables:
         problem = "the recording holds no pulse times"
         raise InputError(problem, place="encoder", remedy="Check the encoder's source in run.toml")
@@ -469,7 +481,10 @@ def stated_wheel(recording: xr.Dataset) -> tuple[Wheel, list[Remark]]:
 
 
 def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
-    """Remark where the sampled encoder of ``recording`` has too few samples per pulse of ``teeth``."""
+    """Remark where the sampled encoder of the Recording ``recording`` (channel, time) has too few samples per tooth.
+
+    ``teeth`` are its numbered pulses; at most one remark is returned.
+    """
     if recording.attrs.get("encoder_kind") not in ("square", "analogue") or "rate_hz" not in recording.attrs:
         return []
     steps = np.diff(teeth.time_s) * float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"]))
@@ -481,5 +496,5 @@ def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
 
 
 def times_of(recording: xr.Dataset, name: str) -> Floats | None:
-    """Times [s] that ``recording`` holds by that ``name``; None where it holds none."""
+    """Times [s] (events,) that the variable ``name`` of ``recording`` holds; None where there is no such variable."""
     return recording.variables[name].values.astype(np.float64) if name in recording.variables else None

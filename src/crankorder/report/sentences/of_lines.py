@@ -78,7 +78,7 @@ _DOUBTS = 3  # … and doubts, each with its reason
 
 
 def line_sentences(findings: Findings) -> list[str]:
-    """What shakes: the strongest line of each channel of ``findings``, the strongest first, then what else there is."""
+    """What shakes: the strongest line of each channel of ``findings``, the strongest first, then other lines."""
     names = _channels(findings)
     sentences = [above_sentence(findings, level) for level in _stronger_above(findings)[:1]]
     if not names:
@@ -94,7 +94,7 @@ def line_sentences(findings: Findings) -> list[str]:
 
 
 def slow_sentences(findings: Findings) -> list[str]:
-    """That something stands below the lowest order that the frames tell, where ``findings`` have it."""
+    """Sentences on lines below the lowest order that the frames resolve, where ``findings`` have any."""
     return [f"{flag.detail[:1].upper()}{flag.detail[1:]}." for flag in findings.quality if flag.flag == "slow_lines"]
 
 
@@ -130,7 +130,7 @@ def _is_short(findings: Findings) -> bool:
 
 
 def no_order_sentence(findings: Findings) -> str:
-    """What is said where ``findings`` list no order: none stands, or none could be proven, and apart from what."""
+    """Sentence for ``findings`` without orders: none stands out, or none could be proven, and which lines do stand."""
     what = "order could be proven" if _is_short(findings) else "order stands above the noise"
     band = " in the band that was looked at" if lies_above(findings) else ""
     why = ": the recordings hold too few revolutions" if _is_short(findings) else ""
@@ -314,9 +314,9 @@ def bearing_sentences(findings: Findings, *, with_rule: bool = True) -> list[str
 
 
 def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:
-    """What each bearing line of ``findings`` that was seen is called, with its largest record.
+    """Name of each bearing line of ``findings`` that was seen, with its largest record.
 
-    Faults go first, those that strike before those that only sound.
+    Lines of faults come first, "N*fs" (rolling elements times shaft speed) last; of each, those in the envelope first.
     """
     groups: dict[tuple[float, str, str | None], list[BearingFinding]] = {}
     for record in findings.bearings:

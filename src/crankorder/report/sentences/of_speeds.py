@@ -44,7 +44,7 @@ _SHOWN = 3  # free bands that a sentence names, the widest
 
 
 def avoid_sentences(findings: Findings) -> list[str]:
-    """Speeds to avoid: one sentence for each of those of ``findings``, the worst first."""
+    """One sentence for each of the speeds to avoid of ``findings``, the worst first."""
     sentences = []
     for record in findings.speeds_to_avoid or ():
         ends = known(record.rpm_range)
@@ -93,12 +93,12 @@ def _amplified(record: AvoidedSpeed) -> str:
 
 
 def all_judged(findings: Findings) -> bool:
-    """Whether ``findings`` leave no tested speed open; of such as do not speak of open bands nothing is known."""
+    """Whether ``findings`` leave no tested speed open; also True where they do not state open bands."""
     return findings.open_bands is None or bool(free_bands(findings) and not open_bands(findings))
 
 
 def doubt_sentences(findings: Findings) -> list[str]:
-    """That the speed of the ``findings`` is in doubt, and why; nothing where it is not."""
+    """Sentences that the speed of the ``findings`` is in doubt, and why; empty where it is not."""
     if not findings.speed_doubt:
         return []
     reason = reason_text(findings.speed_doubt)
@@ -106,7 +106,7 @@ def doubt_sentences(findings: Findings) -> list[str]:
 
 
 def shaft_sentences(findings: Findings) -> list[str]:
-    """Of ``findings`` of a shaft alone: at which speeds it turned, and how unevenly; else nothing."""
+    """Sentences on the speeds of a shaft alone and how unevenly it turned; empty for other ``findings``."""
     low, high = (findings.speed_range_rpm if not findings.channels else None) or (None, None)
     if low is None or high is None:
         return []
@@ -191,7 +191,7 @@ _WORTH_SAYING = 0.005  # share of the energy below which a channel is not named
 
 
 def above_sentence(findings: Findings, level: Level) -> str:
-    """That the strongest line of a channel lies above the band, by its ``level`` in the ``findings``."""
+    """Sentence that the strongest line of a channel lies above the band, by its ``level`` in the ``findings``."""
     order, hertz = level.order_above, level.frequency_hz_above
     places = [f"{frequency_text(hertz)} Hz"] if is_number(hertz) else []
     places += [f"order {number_text(order)}"] if is_number(order) else []
@@ -262,7 +262,7 @@ def level_sentences(findings: Findings) -> list[str]:
 
 
 def limit_sentences(findings: Findings, *, verdict: str | None = None) -> list[str]:
-    """What each limit in ``findings`` comes to, those that are passed most first; with a ``verdict`` these alone."""
+    """Sentences on each limit in ``findings``, the most exceeded first; with a ``verdict`` on those alone."""
     grave = ["above", "not decided"]
 
     def gravity(record: LimitVerdict) -> tuple[int, float]:

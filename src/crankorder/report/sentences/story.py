@@ -91,10 +91,10 @@ class Story(TypedDict):
 def headline(findings: Findings) -> list[str]:
     """The few sentences that matter most, the strongest line first; for the command line and the head of the page.
 
-    A limit that is passed, and those that are not decided; the strongest line with its cause, the first bearing's
-    verdict (first where a bearing strikes), the worst speed, the residual unbalance (or why it is not known), the share
-    of energy that nothing explains; that something stands below the lowest order that is told; of what does not turn
-    its natural frequencies. ``findings`` as in ``data_schema/findings.json``. Never empty.
+    They are on limits that are exceeded or not decided; the strongest line with its cause, the verdict on the first
+    bearing (first of all where a bearing strikes), the worst speed, the residual unbalance (or why it is not known),
+    the share of energy that nothing explains, and lines below the lowest order that is resolved; for a structure that
+    does not turn, on its natural frequencies. ``findings`` are those of ``data_schema/findings.json``. Never empty.
     """
     if findings.not_asked_for:
         return [*of_speeds.shaft_sentences(findings), f"Findings were {reason_text(findings.not_asked_for)}."]
@@ -120,7 +120,10 @@ def headline(findings: Findings) -> list[str]:
 
 
 def story_of(findings: Findings) -> Story:
-    """What shakes, why, how sure and what to do, from ``findings``; unasked for, only what the data are worth."""
+    """What shakes, why, how sure and what to do, from ``findings``.
+
+    Where findings were not asked for, it says only how the shaft turned and what the data are worth.
+    """
     quality, repeat = _quality_sentences(findings), _repeat_sentences(findings)
     if findings.not_asked_for:
         return Story(what=of_speeds.shaft_sentences(findings), why=[], how_sure=quality, what_to_do=repeat)
@@ -149,7 +152,7 @@ def _stands_still(findings: Findings) -> bool:
 
 
 def energy_sentence(findings: Findings) -> str:
-    """Share of the energy of ``findings`` that nothing explains, as a number, and of what; empty where not known."""
+    """Sentence on the share of the energy of ``findings`` that nothing explains; empty where it is not known."""
     fraction, energy = findings.unexplained_energy_fraction, findings.energy
     whole = energy is not None and bool(energy.channels)
     # what orders explain is as good as the speed; without a line there is no energy of lines
@@ -285,7 +288,7 @@ def _orders(names: list[str], verb: str, plural: str, *, most: int | None = None
 
 
 def lock_sentences(findings: Findings) -> list[str]:
-    """Orders of ``findings`` that slip, and those of which it cannot be told, with the record length that would do."""
+    """Sentences on orders of ``findings`` that slip, and on undecided ones with the record length that would do."""
     slips, loose, undecided = list[str](), list[str](), list[OrderFinding]()
     for _, record in sorted(strongest_by(findings.orders, nominal_order).items()):
         hertz = hertz_of_order(record, findings)
