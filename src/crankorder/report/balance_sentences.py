@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from crankorder.engine.balancing import MOMENT_AXES
 from crankorder.engine.forces import newton, speed_key
 from crankorder.errors import plain_number
 from crankorder.plot.reading import listed
@@ -21,7 +22,8 @@ ALIGNED_SHARE = 1e-9
 CYLINDER = {"x": "along the cylinder", "y": "across the cylinder"}
 FRAME = {"x": "along Z", "y": "along X"}
 """Words for the two directions, for one cylinder and for several; Z points from the crankshaft to the middle bank."""
-COUPLES = {"about_y": "about X", "about_x": "about Z"}
+ABOUT = {name: f"about {axis}" for name, axis in MOMENT_AXES.items()}
+COUPLES = {name: ABOUT[name] for name in ("about_y", "about_x")}
 _NO_FORCE = "no force"
 
 
@@ -166,8 +168,19 @@ def _on_crank(strategy: Part) -> str:
     return f"{grams:.5g} g on the crank" + (f", {angle_deg:.5g}° on from opposite to its pin" if angle_deg else "")
 
 
+def shaft_sets(shafts: Part) -> dict[str, Part]:
+    """Possibilities of additional shafts by name; none where the engine has several cylinders."""
+    return {name: layout for name, layout in shafts.items() if layout and "strategy" in layout}
+
+
+def layouts_of(sheet: Part) -> dict[str, Part]:
+    """Every set or design of shafts of a ``sheet``, and the engine's own, by name: with what it leaves."""
+    own, design = sheet["shafts"]["own"], sheet["design"] or {"layouts": {}}
+    return shaft_sets(sheet["shafts"]) | design["layouts"] | ({} if own is None else {"own": own})
+
+
 def _of_shafts(shafts: Part, speed_rpm: float) -> list[str]:
-    sets = {name: layout for name, layout in shafts.items() if layout and "strategy" in layout}
+    sets = shaft_sets(shafts)
     sentences = [
         f"Shafts of possibility {name} on strategy {layout['strategy']} leave "
         f"{_amounts(layout['residual_g_mm'], speed_rpm, most=1)} first of all."
