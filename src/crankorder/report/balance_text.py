@@ -180,21 +180,14 @@ def shown_orders(tables: Iterable[Mapping[str, float] | None]) -> list[str]:
 
 def _by_speed(sheet: Part, title: str, key: str, axes: Mapping[str, str], units: tuple[str, str]) -> list[str]:
     """Amounts by axis and order that stand at ``key``, over ω² and at every speed, beside what the piston is."""
-    (over_omega, unit), scale = units, 1e-3 if units[1] == "N·m" else 1.0
-    heads = [
-        "order",
-        "axis",
-        "A_k",
-        over_omega,
-        f"leading {over_omega}",
-        *(f"{unit} at {n} rpm" for n in sheet["force_n"]),
-    ]
+    (over_omega, unit), scale, speeds = units, 1e-3 if units[1] == "N·m" else 1.0, sheet["force_n"]
+    heads = ["order", "axis", "A_k", over_omega, f"leading {over_omega}", *(f"{unit} at {key} rpm" for key in speeds)]
     rows: list[Row] = []
     for axis, name in axes.items():
         piston, leading = (sheet["harmonics"], sheet["leading_g_mm"] or {}) if axis == "x" else ({}, {})
         amounts = sheet[key][axis] or {}
         for order in (order for order in shown_orders(sheet[key].values()) if order in amounts):
-            at_speeds = [scale * newton(amounts[order], float(speed)) for speed in sheet["force_n"]]
+            at_speeds = [scale * newton(amounts[order], float(speed)) for speed in speeds]
             rows.append([order, name, *(part.get(order) for part in (piston, amounts, leading)), *at_speeds])
     return text_table(title, heads, rows, kept=2)
 
@@ -208,11 +201,11 @@ def _strategies(sheet: Part) -> list[str]:
     if sheet["strategies"] is None:
         return []
     along, across = (sheet["force_g_mm"][axis] or {} for axis in "xy")
-    higher = {order: amount for order, amount in along.items() if order != "1"}
     plain = {"residual_x_g_mm": along.get("1", 0.0), "residual_y_g_mm": across.get("1", 0.0)}
-    plain["higher_orders_x_g_mm"] = higher
     kept = {name: strategy for name, strategy in sheet["strategies"].items() if strategy is not None}
     columns, speed = [plain, *kept.values()], max(sheet["force_n"], key=float)
+    higher = [{order: along[order] for order in along if order != "1"}]
+    higher += [strategy["higher_orders_x_g_mm"] or {} for strategy in kept.values()]
 
     def row(text: str, key: str, scale: float | None = None) -> list[Cell]:
         sizes = [column.get(key) for column in columns]
@@ -221,11 +214,9 @@ def _strategies(sheet: Part) -> list[str]:
         at_speed = (None if size is None else scale * newton(size, float(speed)) for size in sizes)
         return [f"{text} at {speed} rpm", *at_speed]
 
-    orders = [column["higher_orders_x_g_mm"] or {} for column in columns]
+    by_order: list[Row] = [[f"order {order} along, g·mm", *_at(order, higher)] for order in shown_orders(higher)[:4]]
     turned = row("… on from opposite to the pin, °", "counterweight_deg")
-    turns = [
-        strategy["rotation"].replace("line", "to and fro").replace("none", "no force") for strategy in kept.values()
-    ]
+    turns = {"line": "to and fro", "none": "no force"}
     rows: list[Row] = [
         row("counterweight on the crank, g", "counterweight_g"),
         *([turned] if any(turned[1:]) else []),
@@ -235,9 +226,9 @@ def _strategies(sheet: Part) -> list[str]:
         row("order 1 across, g·mm", "residual_y_g_mm"),
         row("order 1 along, N", "residual_x_g_mm", 1.0),
         row("order 1 across, N", "residual_y_g_mm", 1.0),
-        *([f"order {order} along, g·mm", *_at(order, orders)] for order in shown_orders(orders)[:4]),
+        *by_order,
         row("couple at most, N·m", "couple_g_mm2", 1e-3),
-        ["order 1 turns", None, *turns],
+        ["order 1 turns", None, *(turns.get(strategy["rotation"], strategy["rotation"]) for strategy in kept.values())],
     ]
     return text_table("Strategies side by side", ["", "none", *kept], rows)
 
@@ -340,11 +331,11 @@ def _crankshaft(sheet: Part) -> list[str]:
         )
     if rod is not None:
         methods = [{**split, "name": name} for name, split in rod["methods"].items()]
+        methods.append({"name": "weighed whole", "total_g": rod["weighed_whole_g"]})
         columns = (
             "by=name|big end g=big_end_g|small end g=small_end_g|total g=total_g|centre / length=centroid_fraction"
         )
-        whole = {"name": "weighed whole", "total_g": rod["weighed_whole_g"]}
-        lines += table_of("The rod in two masses", columns, [*methods, whole])
+        lines += table_of("The rod in two masses", columns, methods)
     return lines
 
 
@@ -385,8 +376,9 @@ def hinge_text(sheet: Part) -> str:
     lines = [printable(sheet["engine"], WIDTH), ""]
     rows: list[Row] = [("mean, N·m", torque["mean_nm"]), ("work per revolution, J", torque["work_per_rev_j"])]
     lines += text_table("Crank torque", ["", ""], rows)
-    columns = "crank angle °=crank_angle_deg|N·m=torque_nm"
-    lines += table_of("Extrema of the crank torque", columns, torque["extrema"], kept=0)
+    lines += table_of(
+        "Extrema of the crank torque", "crank angle °=crank_angle_deg|N·m=torque_nm", torque["extrema"], kept=0
+    )
     lines += text_table("Crank torque by order", ["order", "N·m"], torque["harmonics_nm"].items())
     lines += table_of(
         "Largest side force on the piston (R430 without hinge, R43 with it), N",
