@@ -9,14 +9,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.engine.balance_data import BalancedEngine
-from crankorder.engine.balancing import (
-    MOMENT_AXES,
-    ONE_RADIAN_PER_S_RPM,
-    forces_of,
-    moments_of,
-    polar_diagram,
-    systems,
-)
+from crankorder.engine.balancing import MOMENT_AXES, ONE_RADIAN_PER_S_RPM, forces_of, moments_of, polar_diagram, systems
 from crankorder.engine.cycle_tables import CycleCurves, cycle_curves
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_moments, unbalance_force_n
