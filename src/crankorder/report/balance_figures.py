@@ -9,19 +9,10 @@ from typing import Any, get_args
 import numpy as np
 import xarray as xr
 
+from crankorder.engine import hinged_crank as hinged
 from crankorder.engine.elastic_hinge import GUIDE_STEPS, Guides, Joint, hinge_guides, hinge_table
 from crankorder.engine.forces import speed_key, unbalance_force_n
-from crankorder.engine.hinged_crank import (
-    GuideData,
-    HingedCrankData,
-    HingedEngine,
-    crank_torque,
-    hinge_moment,
-    potential_torque,
-    side_force,
-    side_force_without_hinge,
-    torque_extrema,
-)
+from crankorder.engine.hinged_crank import GuideData, HingedCrankData, HingedEngine
 from crankorder.plot.drawing import Area, Box, Drawing, Panel, Stroke, Words
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, WHITE, drawable, text_width_in
 from crankorder.plot.reading import number_text, order_text
@@ -66,10 +57,8 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
         rows.append([])
         for axis, direction in zip("xy", dataset.axis_names(balance), strict=True):
             curves = [
-                Curve(values, system_color(name), label, f"force-{axis}-{name}", 2.2 if name == "none" else 1.4)
-                for (name, label), values in zip(
-                    shown.items(), newtons.sel(system=list(shown), axis=axis).values, strict=True
-                )
+                Curve(values, system_color(name), shown[name], f"force-{axis}-{name}", 2.2 if name == "none" else 1.4)
+                for name, values in zip(shown, newtons.sel(system=list(shown), axis=axis).values, strict=True)
             ]
             rows[-1].append(Chart(f"{text} · {direction}", "N", curves, _FROM_DEAD_CENTRE))
     if "moment" in balance:
@@ -149,34 +138,31 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
     last = max([4.0, *tall[: settings.max_labelled_orders]])
     shown = balance.sel(order=slice(None, last))
     systems = [names for names in dataset.alike(balance["force"]) if balance["force"].sel(system=names[0]).any()]
-    forces = np.abs(shown["force"].sel(system=[names[0] for names in systems or [["none"]]]).values)
-    charts = [
-        (name[0].upper() + name[1:], "N", list(forces[:, row]), systems or [["none"]])
-        for row, name in enumerate(dataset.axis_names(balance))
-    ]
+    drawn = systems or [["none"]]
+    forces = per_omega * np.abs(shown["force"].sel(system=[names[0] for names in drawn]).values)
+    names = [name[0].upper() + name[1:] for name in dataset.axis_names(balance)]
+    charts = [(name, "N", forces[:, row], drawn) for row, name in enumerate(names)]
     if "moment_by_system" in balance:
         rocking = dataset.alike(balance["moment_by_system"])
         moments = shown["moment_by_system"].sel(system=[names[0] for names in rocking]).values
         about_z, about_x, roll = 1e-3 * moments.swapaxes(0, 1)
         # the couple along Z and X as what turns with the crank and against it: the largest of the turn is their sum
         couple = (np.abs(about_x + 1j * about_z) + np.abs(about_x - 1j * about_z)) / 2
-        charts.append(("Rocking couple, the most of a turn", "N·m", list(couple), rocking))
-        charts.append(("Roll moment of the masses", "N·m", list(np.abs(roll)), rocking))
+        charts.append(("Rocking couple, the most of a turn", "N·m", per_omega * couple, rocking))
+        charts.append(("Roll moment of the masses", "N·m", per_omega * np.abs(roll), rocking))
     drawing = Drawing(settings.width_in, settings.height_in * (1.35 if len(charts) > 2 else 1.0))
     boxes = [box for (box,) in panels.boxes_of(drawing, len(charts), 1, right=1.0, gap=0.62)]
     orders = {float(order): order_text(order) for order in shown["order"].values}
     for number, ((name, unit, heights, groups), box) in enumerate(zip(charts, boxes, strict=True)):
-        most = per_omega * max(float(np.max(panel[2])) for panel in charts if panel[1] == unit)
+        most = max(float(sizes.max()) for _, alike, sizes, _ in charts if alike == unit)
         low, high = (least * most, 4 * most) if most else (1e-3, 1.0)
         panel = Panel(drawing, box, (0.4, last + 0.6), (low, high), log_y=True)
         panel.y_axis(unit)
         factor, right = (per_omega, "g·mm") if unit == "N" else (1e-3 * per_omega, "g·mm²")
         over_omega = replace(panel, y=(low / factor, high / factor))
         over_omega.y_axis(f"over ω², {right}", grid=False, right=True)
-        panels.draw_bars(
-            panel, orders, [per_omega * sizes for sizes in heights], [system_color(n[0]) for n in groups], low
-        )
-        if not np.max(heights) * per_omega > low:
+        panels.draw_bars(panel, orders, list(heights), [system_color(names[0]) for names in groups], low)
+        if not np.max(heights) > low:
             panel.note(f"no {'force' if unit == 'N' else 'moment'} of any order")
         drawing.add(Words(box[0], box[1] + box[3] + 0.08, name))
         if number in (0, 2) and len(groups) > 1:
@@ -346,43 +332,38 @@ def hinge_figure(
     """
     crank, curve = mechanism.crank, engine.curve
 
-    def by_speed(name: str, values: Callable[[float], Floats]) -> list[Curve]:
-        return [
-            Curve(values(speed), LINES[number % len(LINES)], f"{speed:.0f} rpm", f"{name}-{number}")
-            for number, speed in enumerate(speeds_rpm)
-        ]
+    def by_speed(name: str, values: Callable[..., Floats], **how: Any) -> list[Curve]:
+        drawn = [values(_ANGLES, crank, curve, speed_rpm=speed, **how) for speed in speeds_rpm]
+        looks = [(LINES[n % len(LINES)], f"{speed:.0f} rpm", f"{name}-{n}") for n, speed in enumerate(speeds_rpm)]
+        return [Curve(line, *look) for line, look in zip(drawn, looks, strict=True)]
 
-    def moment(kind: Any) -> Callable[[float], Floats]:
-        return lambda speed: hinge_moment(_ANGLES, crank, curve, speed_rpm=speed, pin_hinge=kind)
-
-    def of_hinge(joint: Joint) -> list[Curve]:
-        return by_speed(joint, lambda speed: hinge_table(crank, curve, joint=joint, speed_rpm=speed).moment_nm)
+    def of_hinge(_: Floats, *torque: Any, **how: Any) -> Floats:
+        return hinge_table(*torque, **how).moment_nm
 
     left, hinges = [], {"printed": ("after equation (6)", LINES[1]), "potential": ("of a spring, without work", INK)}
     for kind, (text, color) in hinges.items():
-        force = side_force(_ANGLES, crank, curve, pin_hinge=kind)  # type: ignore[arg-type]  # a Literal, by its text
+        force = hinged.side_force(_ANGLES, crank, curve, pin_hinge=kind)  # type: ignore[arg-type]  # a Literal, by its text
         most = f"{text}: up to {number_text(float(np.abs(force).max()))} N"
         left.append(Curve(force, color, most, f"side-force-{kind}"))
     torque = [
-        Curve(crank_torque(_ANGLES, curve), INK, "whole", "torque"),
-        Curve(potential_torque(_ANGLES, curve), LINES[0], "without its mean", "torque-potential", 0.9),
+        Curve(hinged.crank_torque(_ANGLES, curve), INK, "whole", "torque"),
+        Curve(hinged.potential_torque(_ANGLES, curve), LINES[0], "without its mean", "torque-potential", 0.9),
     ]
-    without = by_speed("side-force", lambda speed: side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed))
-    between = by_speed("m12-full", moment("full"))
-    for line in by_speed("m12-printed", moment("printed")):
+    between = by_speed("m12-full", hinged.hinge_moment, pin_hinge="full")
+    for line in by_speed("m12-printed", hinged.hinge_moment, pin_hinge="printed"):
         between.append(line._replace(text="", width=2.2, alpha=0.6, dashes=(3.0, 2.0)))
     charts = (
         Chart("Crank torque, and its part without work", "N·m", torque),
-        Chart("Side force without a hinge, R430 (5)", "N", without),
+        Chart("Side force without a hinge, R430 (5)", "N", by_speed("side-force", hinged.side_force_without_hinge)),
         Chart("Side force that a hinge leaves, R43 (7)", "N", left),
         Chart("Moment between crank and rod, M12 (4); dashed (6)", "N·m", between),
-        Chart("Hinge at the crank pin (a spring)", "N·m", of_hinge("pin"), "hinge angle, °"),
-        Chart("Hinge between strut and crank (a spring)", "N·m", of_hinge("strut")),
+        Chart("Hinge at the crank pin (a spring)", "N·m", by_speed("pin", of_hinge, joint="pin"), "hinge angle, °"),
+        Chart("Hinge between strut and crank (a spring)", "N·m", by_speed("strut", of_hinge, joint="strut")),
     )
     drawing = Drawing(settings.width_in, 1.38 * settings.height_in)
     boxes = [box for row in panels.boxes_of(drawing, 3, 2) for box in row]
     drawn = [panels.draw_chart(drawing, box, chart, 360 * _ANGLES) for chart, box in zip(charts, boxes, strict=True)]
-    _mark_torque(drawn[0], curve.mean_nm, *torque_extrema(curve))
+    _mark_torque(drawn[0], curve.mean_nm, *hinged.torque_extrema(curve))
     subtitle = f"{drawable(engine.title, 2 * settings.max_name_characters)}. At a constant crank speed."
     return panels.headed(drawing, mechanism.name, "elastic hinges", subtitle, settings)
 
@@ -420,8 +401,9 @@ def guide_figure(
         cut = "sharper than the roller: it cannot be cut" if guides.undercut else "the roller reaches every point"
         text = f"spring {number_text(1e-3 * guides.stiffness_n_per_m)} N/mm, steepest {guides.steepest_deg:.0f}°; {cut}"
         drawing.add(Words(left + side / 2, side + 0.42, text, SMALL + 0.5, along="centre"))
-    subtitle = f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; "
-    subtitle += "the spring between them is shown at four angles."
+    subtitle = (
+        f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; the spring between them is shown at four angles."
+    )
     return panels.headed(drawing, mechanism.name, "guides of the elastic hinges", subtitle, settings)
 
 
@@ -434,21 +416,20 @@ def _draw_guides(drawing: Drawing, box: Box, guides: Guides, data: GuideData) ->
         drawing.add(Area(panel.at(outline.real, outline.imag), GRID))
     for surface in (guides.outer_m, guides.inner_m):
         panel.curve(surface.real, surface.imag, color=INK, name="guide")
-    paths = [(data.middle_radius_m + sign * guides.length_m / 2) * turn for sign in (1, -1)]
+    paths = np.array([(data.middle_radius_m + sign * guides.length_m / 2) * turn for sign in (1, -1)])
     for path in paths:
         panel.curve(path.real, path.imag, color=FAINT, width=0.7, dashes=(4.0, 3.0))
     quarter, radius = len(turn) // 4, 72 * data.roller_radius_m * box[2] / (2 * limit)
-    for row in (number * quarter + quarter // 3 for number in range(4)):
-        ends = np.array([path[row] for path in paths])
+    for ends in paths[:, quarter // 3 + quarter * np.arange(4)].T:
         spring = _spring(*ends)
         panel.curve(spring.real, spring.imag, color=LINES[1], width=1.0)
         panel.rings(ends.real, ends.imag, color=WHITE, radius=radius)
         panel.rings(ends.real, ends.imag, color=LINES[1], radius=radius, width=1.3)
     x, y = panel.at(0.0, 0.0)[0]
     drawing.add(Words(x, y, "+", NORMAL + 2, along="centre", across="centre"))
-    for angle_deg in range(0, 360, 30):
-        x, y = panel.at(*(0.93 * limit * np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])))[0]
-        drawing.add(Words(x, y, f"{angle_deg}°", SMALL, FAINT, along="centre", across="centre"))
+    dial = 0.93 * limit * np.exp(1j * np.radians(np.arange(0, 360, 30)))
+    for number, (x, y) in enumerate(panel.at(dial.real, dial.imag)):
+        drawing.add(Words(x, y, f"{30 * number}°", SMALL, FAINT, along="centre", across="centre"))
 
 
 def _spring(outer: complex, inner: complex) -> Complexes:

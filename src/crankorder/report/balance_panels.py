@@ -141,7 +141,7 @@ def polar_grid(
     step = (settings.width_in - LEFT - 0.05) / max(map(len, rows))
     side, head = min(step - 0.2, widest), 0.84
     drawing = Drawing(settings.width_in, above + 0.3 + len(rows) * (side + head))
-    bottoms = [0.3 + (len(rows) - 1 - row) * (side + head) for row in range(len(rows))]
+    bottoms = [0.3 + number * (side + head) for number in range(len(rows))][::-1]
     boxes = [
         [(LEFT + place * step, bottom, side, side) for place in range(len(row))]
         for row, bottom in zip(rows, bottoms, strict=True)
