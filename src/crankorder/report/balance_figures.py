@@ -179,11 +179,9 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
 
 def _tall_orders(balance: xr.Dataset, least: float) -> list[float]:
     """Orders at which a force or a moment is above its share ``least`` of the largest, ascending."""
-    high = np.zeros(balance.sizes["order"], dtype=bool)
-    for name in {"force", "moment_by_system"} & set(balance):
-        amplitude = np.abs(balance[name].transpose(..., "order").values).reshape(-1, len(high))
-        high |= (amplitude > least * amplitude.max()).any(axis=0)
-    return [float(order) for order in balance["order"].values[high]]
+    sizes = [abs(balance[name]) for name in ("force", "moment_by_system") if name in balance]
+    high = [(size > least * size.max()).any(set(size.dims) - {"order"}).values for size in sizes]
+    return [float(order) for order in balance["order"].values[np.any(high, axis=0)]]
 
 
 _TURNS = {
@@ -202,24 +200,23 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
     """
     speed, per_omega = _at_highest_speed(balance)
     angle, system = balance["crank_angle"].values, balance["system"].values.tolist()
-    turning = dict(zip(system, balance["rotation"].values.tolist(), strict=True))
     along, across = dataset.order_sum(balance["force"].sel(order=[1.0]).values, angle).swapaxes(0, 1)
-    whole = balance["curve"].sel(axis="x").values + 1j * balance["curve"].sel(axis="y").values
-    first, every = (dict(zip(system, per_omega * drawn, strict=True)) for drawn in (along + 1j * across, whole))
-    frame = panels.frame_around(max(float(np.abs(curve).max()) for curve in (*first.values(), *every.values())))
+    first, whole = along + 1j * across, balance["curve"].sel(axis="x") + 1j * balance["curve"].sel(axis="y")
+    frame = panels.frame_around(max(float(np.abs(per_omega * curves).max()) for curves in (first, whole.values)))
 
-    def diagrams(names: Sequence[str], curves: Mapping[str, Complexes]) -> list[Polar]:
+    def diagrams(names: Sequence[str], curves: Complexes) -> list[Polar]:
         polars = []
         for name in dataset.present(balance, names):
-            most = float(np.abs(curves[name]).max())
+            curve, turns = per_omega * curves[system.index(name)], balance["rotation"].sel(system=name).item()
+            most = float(np.abs(curve).max())
             head = dataset.words_of(name, balance) if len(system) > 1 else ("force", "")
             reach = f"up to {number_text(most)} N" if most > dataset.NO_FORCE * frame else "no force"
-            polars.append(Polar(curves[name], system_color(name), frame, (*head, reach, _TURNS[turning[name]])))
+            polars.append(Polar(curve, system_color(name), frame, (*head, reach, _TURNS[turns])))
         return polars
 
     rows = [("first harmonic alone", diagrams(dataset.COUNTERWEIGHTS, first))] if along.any() or across.any() else []
-    rows.append(("all harmonics", diagrams(dataset.COUNTERWEIGHTS, every)))
-    rows.append(("shafts, all harmonics", diagrams(dataset.SHAFT_SETS[1:], every)))
+    rows.append(("all harmonics", diagrams(dataset.COUNTERWEIGHTS, whole.values)))
+    rows.append(("shafts, all harmonics", diagrams(dataset.SHAFT_SETS[1:], whole.values)))
     if "moment" in balance:
         about_z, about_x, _ = 1e-3 * per_omega * dataset.order_sum(balance["moment"].values, angle)
         moment = about_z + 1j * about_x
@@ -401,10 +398,8 @@ def guide_figure(
         cut = "sharper than the roller: it cannot be cut" if guides.undercut else "the roller reaches every point"
         text = f"spring {number_text(1e-3 * guides.stiffness_n_per_m)} N/mm, steepest {guides.steepest_deg:.0f}°; {cut}"
         drawing.add(Words(left + side / 2, side + 0.42, text, SMALL + 0.5, along="centre"))
-    subtitle = (
-        f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; the spring between them is shown at four angles."
-    )
-    return panels.headed(drawing, mechanism.name, "guides of the elastic hinges", subtitle, settings)
+    line = f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; the spring between them is shown at four angles."
+    return panels.headed(drawing, mechanism.name, "guides of the elastic hinges", line, settings)
 
 
 def _draw_guides(drawing: Drawing, box: Box, guides: Guides, data: GuideData) -> None:
