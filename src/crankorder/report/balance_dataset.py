@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from crankorder.engine.balance_data import BalancedEngine
-from crankorder.engine.balancing import (
-    MOMENT_AXES,
-    ONE_RADIAN_PER_S_RPM,
-    forces_of,
-    moments_of,
-    polar_diagram,
-    systems,
-)
-from crankorder.engine.cycle_tables import cycle_curves
+from crankorder.engine.balancing import MOMENT_AXES, ONE_RADIAN_PER_S_RPM, forces_of, moments_of, polar_diagram, systems
+from crankorder.engine.cycle_tables import CycleCurves, cycle_curves
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_moments, unbalance_force_n
 from crankorder.plot.reading import listed
 from crankorder.quantities import Complexes, Floats
-from crankorder.report.balance_sentences import plain_state
+from crankorder.report.balance_sentences import CYLINDER, FRAME, plain_state
 
 SYSTEMS: dict[str, tuple[str, str]] = {
     "none": ("no balancing", "no counterweight, no shaft"),
@@ -127,31 +120,30 @@ def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
     (speed, bearing, axis, crank_angle) with the axes "x" and "z" of the engine.
     """
     by_speed = cycle_curves(engine, speeds_rpm)
-    first, turn = by_speed[0], ("speed", "crank_angle")
-    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {
-        "gas_torque": (turn, np.stack([curves.gas_n_m for curves in by_speed]), {"units": "N m"}),
-        "inertia_torque": (turn, np.stack([curves.inertia_n_m for curves in by_speed]), {"units": "N m"}),
-    }
-    coords: dict[str, tuple[str, object, dict[str, str]] | list[str]] = {
-        "speed": ("speed", np.asarray(speeds_rpm, dtype=np.float64), {"units": "min-1"}),
-        "crank_angle": ("crank_angle", 360 * first.crank_angle_rev, {"units": "degree"}),
-    }
+    angle, first = 360 * by_speed[0].crank_angle_rev, by_speed[0]
+    speed = ("speed", np.asarray(speeds_rpm, dtype=np.float64), {"units": "min-1"})
+    dataset = xr.Dataset(coords={"speed": speed, "crank_angle": ("crank_angle", angle, {"units": "degree"})})
+
+    def add(name: str, dims: Sequence[str], of: Callable[[CycleCurves], Any], about: dict[str, str]) -> None:
+        dataset[name] = (("speed", *dims, "crank_angle"), np.stack([of(curves) for curves in by_speed]), about)
+
+    add("gas_torque", (), lambda curves: curves.gas_n_m, {"units": "N m"})
+    add("inertia_torque", (), lambda curves: curves.inertia_n_m, {"units": "N m"})
     if first.loads:
-        by_cylinder = ("speed", "cylinder", "crank_angle")
-        thrust = np.stack([[load.side_thrust_n for load in curves.loads] for curves in by_speed])
-        variables["wall_load"] = (by_cylinder, thrust, {"units": "N", "long_name": "piston on its wall"})
-        across = ("speed", "cylinder", "direction", "crank_angle")
-        for name, pin in (("piston_pin_load", "piston_pin_n"), ("crank_pin_load", "crank_pin_n")):
-            values = np.stack([[getattr(load, pin) for load in curves.loads] for curves in by_speed])
-            variables[name] = (across, values, {"units": "N", "long_name": "rod on pin"})
-        coords["direction"] = ["along", "across"]
+        dataset["direction"] = ["along", "across"]
+        across, about = ("cylinder", "direction"), _about("rod on pin", "N")
+        walls = _about("piston on its wall", "N")
+        add("wall_load", ("cylinder",), lambda curves: [load.side_thrust_n for load in curves.loads], walls)
+        add("piston_pin_load", across, lambda curves: [load.piston_pin_n for load in curves.loads], about)
+        add("crank_pin_load", across, lambda curves: [load.crank_pin_n for load in curves.loads], about)
     if first.bearings_n is not None:
-        values = np.stack([curves.bearings_n[:, [0, 2]] for curves in by_speed if curves.bearings_n is not None])
-        about = {"units": "N", "long_name": "crankshaft on main bearing"}
-        variables["main_bearing_load"] = (("speed", "bearing", "axis", "crank_angle"), values, about)
-        coords["axis"] = ["x", "z"]
-        coords["bearing"] = ("bearing", np.asarray(engine.main_bearings_m), {"units": "m"})
-    return xr.Dataset(variables, coords=coords)
+        dataset["axis"], dataset["bearing"] = (
+            ["x", "z"],
+            ("bearing", np.asarray(engine.main_bearings_m), {"units": "m"}),
+        )
+        about = _about("crankshaft on main bearing", "N")
+        add("main_bearing_load", ("bearing", "axis"), lambda curves: np.asarray(curves.bearings_n)[:, [0, 2]], about)
+    return dataset
 
 
 def _phase_deg(amplitudes: Complexes) -> Floats:
@@ -181,7 +173,8 @@ def axis_names(balance: xr.Dataset) -> tuple[str, str]:
     An engine of several cylinders, whose dataset has ``moment`` (moment_axis, order), has Z and X; a single cylinder
     has its own directions.
     """
-    return ("along Z", "along X") if "moment" in balance else ("along the cylinder", "across the cylinder")
+    along, across = (FRAME if "moment" in balance else CYLINDER).values()
+    return along, across
 
 
 def alike(curves: xr.DataArray) -> list[list[str]]:
@@ -195,16 +188,18 @@ def alike(curves: xr.DataArray) -> list[list[str]]:
     return list(groups.values())
 
 
-def label_of(name: str, balance: xr.Dataset) -> str:
-    """Label of the system ``name`` of the balance dataset ``balance`` (system, axis, order)."""
-    return str(balance.attrs[PLAIN]) if name == "none" else SYSTEMS[name][0]
+def words_of(name: str, balance: xr.Dataset) -> tuple[str, str]:
+    """Label of the system ``name`` of the balance dataset ``balance`` (system, axis, order), and what it is made of."""
+    plain = str(balance.attrs[PLAIN])
+    built = name == "none" and plain != SYSTEMS["none"][0]
+    return (plain, "counterweights of its file, no shaft") if built else SYSTEMS[name]
 
 
 def called(names: Sequence[str], balance: xr.Dataset) -> str:
     """``names`` of systems of ``balance`` (system, …) in one text that says common words once: "shafts 1 and 4"."""
     kinds: dict[str, list[str]] = {}
     for name in sorted(names, key=list(SYSTEMS).index):
-        kind, _, mark = label_of(name, balance).rpartition(" ")
+        kind, _, mark = words_of(name, balance)[0].rpartition(" ")
         kinds.setdefault(kind, []).append(mark)
     return ", ".join(f"{kind} {listed(marks)}" for kind, marks in kinds.items())
 

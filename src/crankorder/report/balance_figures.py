@@ -9,51 +9,17 @@ from typing import Any, get_args
 import numpy as np
 import xarray as xr
 
+from crankorder.engine import hinged_crank as hinged
 from crankorder.engine.elastic_hinge import GUIDE_STEPS, Guides, Joint, hinge_guides, hinge_table
 from crankorder.engine.forces import speed_key, unbalance_force_n
-from crankorder.engine.hinged_crank import (
-    GuideData,
-    HingedCrankData,
-    HingedEngine,
-    crank_torque,
-    hinge_moment,
-    potential_torque,
-    side_force,
-    side_force_without_hinge,
-    torque_extrema,
-)
+from crankorder.engine.hinged_crank import GuideData, HingedCrankData, HingedEngine
 from crankorder.plot.drawing import Area, Box, Drawing, Panel, Stroke, Words
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, WHITE, drawable, text_width_in
 from crankorder.plot.reading import number_text, order_text
 from crankorder.quantities import Complexes, Floats
-from crankorder.report.balance_dataset import (
-    COUNTERWEIGHTS,
-    NO_FORCE,
-    PLAIN,
-    SHAFT_SETS,
-    SYSTEMS,
-    alike,
-    axis_names,
-    called,
-    label_of,
-    order_sum,
-    present,
-)
-from crankorder.report.balance_panels import (
-    LEFT,
-    RIGHT,
-    Chart,
-    Curve,
-    Polar,
-    arrow_head,
-    boxes_of,
-    color_key,
-    draw_bars,
-    draw_chart,
-    frame_around,
-    headed,
-    polar_grid,
-)
+from crankorder.report import balance_dataset as dataset
+from crankorder.report import balance_panels as panels
+from crankorder.report.balance_panels import LEFT, RIGHT, Chart, Curve, Polar
 from crankorder.settings import ReportSettings
 
 _ORDERS = "order, cycles per crank revolution"
@@ -65,7 +31,7 @@ def system_color(name: str) -> str:
     """Colour of the system ``name`` in every picture; the plain engine is ink, and no two of one engine are alike."""
     if name in ("none", "own"):
         return INK if name == "none" else LINES[-1]
-    return LINES[(list(SYSTEMS).index(name) - 1) % (len(LINES) - 1)]
+    return LINES[(list(dataset.SYSTEMS).index(name) - 1) % (len(LINES) - 1)]
 
 
 def _at_highest_speed(balance: xr.Dataset) -> tuple[float, float]:
@@ -83,20 +49,20 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
     """
     speed, per_omega = _at_highest_speed(balance)
     rows: list[list[Chart]] = []
-    sets = [("Counterweights", present(balance, COUNTERWEIGHTS)), ("Shafts", present(balance, SHAFT_SETS))]
-    for text, names in [row for row in sets if len(row[1]) > 1] or [("Force", ["none"])]:
+    sets = {"Counterweights": dataset.COUNTERWEIGHTS, "Shafts": dataset.SHAFT_SETS}
+    several = {text: names for text, every in sets.items() if len(names := dataset.present(balance, every)) > 1}
+    for text, names in (several or {"Force": ["none"]}).items():
         newtons = per_omega * balance["curve"].sel(system=names)
-        labels = {group[0]: called(group, balance) if len(names) > 1 else "" for group in alike(newtons)}
+        shown = {group[0]: dataset.called(group, balance) if several else "" for group in dataset.alike(newtons)}
         rows.append([])
-        for axis, direction in zip("xy", axis_names(balance), strict=True):
+        for axis, direction in zip("xy", dataset.axis_names(balance), strict=True):
             curves = [
-                Curve(values, system_color(name), label, f"force-{axis}-{name}", 2.2 if name == "none" else 1.4)
-                for name, label in labels.items()
-                for values in [newtons.sel(system=name, axis=axis).values]
+                Curve(values, system_color(name), shown[name], f"force-{axis}-{name}", 2.2 if name == "none" else 1.4)
+                for name, values in zip(shown, newtons.sel(system=list(shown), axis=axis).values, strict=True)
             ]
             rows[-1].append(Chart(f"{text} · {direction}", "N", curves, _FROM_DEAD_CENTRE))
     if "moment" in balance:
-        values = 1e-3 * per_omega * order_sum(balance["moment"].values, balance["crank_angle"].values)
+        values = 1e-3 * per_omega * dataset.order_sum(balance["moment"].values, balance["crank_angle"].values)
         moments = [
             Curve(values[number], LINES[number], MOMENT_TEXT[name], f"moment-{name}")
             for number, name in enumerate(balance["moment_axis"].values.tolist())
@@ -105,12 +71,12 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
         roll = Chart("Roll moment of the masses on the engine block", "N·m", moments[2:], _FROM_DEAD_CENTRE)
         rows.append([rocking, roll])
     drawing = Drawing(settings.width_in, settings.height_in)
-    for row, boxes in zip(rows, boxes_of(drawing, len(rows), 2), strict=True):
+    for row, boxes in zip(rows, panels.boxes_of(drawing, len(rows), 2), strict=True):
         limit = 1.08 * max(float(np.abs(curve.values).max()) for chart in row for curve in chart.curves) or 1.0
         for chart, box in zip(row, boxes, strict=True):
-            draw_chart(drawing, box, chart, 360 * balance["crank_angle"].values, limit=limit)
+            panels.draw_chart(drawing, box, chart, 360 * balance["crank_angle"].values, limit=limit)
     line = f"Force on the crankcase at {speed_key(speed)} rpm: {_in_words(balance, per_omega)}"
-    return headed(drawing, title, "force against crank angle", line, settings)
+    return panels.headed(drawing, title, "force against crank angle", line, settings)
 
 
 def _in_words(balance: xr.Dataset, per_omega: float) -> str:
@@ -120,12 +86,12 @@ def _in_words(balance: xr.Dataset, per_omega: float) -> str:
     newtons = dict(zip(map(str, balance["system"].values), most.tolist(), strict=True))
     if not newtons["none"]:
         return "none"
-    plain = "without balancing" if balance.attrs[PLAIN] == SYSTEMS["none"][0] else balance.attrs[PLAIN]
+    plain = dataset.words_of("none", balance)[0].replace("no balancing", "without balancing")
     line = f"up to {number_text(newtons['none'])} N" + (f" {plain}" if len(newtons) > 1 else "")
-    for kinds in (COUNTERWEIGHTS[1:4], SHAFT_SETS[1:]):
-        if left := present(balance, kinds):
+    for kinds in (dataset.COUNTERWEIGHTS[1:4], dataset.SHAFT_SETS[1:]):
+        if left := dataset.present(balance, kinds):
             best = min(left, key=lambda name: newtons[name])
-            line += f", {number_text(newtons[best])} N with {SYSTEMS[best][0]}"
+            line += f", {number_text(newtons[best])} N with {dataset.called([best], balance)}"
     return line
 
 
@@ -143,21 +109,21 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
     drawing = Drawing(settings.width_in, 0.72 * settings.height_in)
     limit = 1.12 * per_omega * float(np.abs(plain["curve"]).max()) or 1.0
     parts = (("both", INK, 3.0, [1.0, 2.0]), ("primary", LINES[0], 1.3, [1.0]), ("secondary", LINES[1], 1.3, [2.0]))
-    for axis, box in zip(shown, boxes_of(drawing, 1, len(shown))[0], strict=True):
+    for axis, box in zip(shown, panels.boxes_of(drawing, 1, len(shown))[0], strict=True):
         every = per_omega * plain["curve"].sel(axis=axis).values
         curves = [Curve(every, FAINT, "all orders", f"all-{axis}", 5.5, 0.4)]
         for name, color, width, orders in parts:
             amplitudes = plain["force"].sel(axis=axis).where(balance["order"].isin(orders), 0).values
-            curves.append(Curve(per_omega * order_sum(amplitudes, angle), color, name, f"{name}-{axis}", width))
-        direction = axis_names(balance)["xy".index(axis)]
-        draw_chart(drawing, box, Chart(direction, "N", curves, _FROM_DEAD_CENTRE), 360 * angle, limit=limit)
+            curves.append(Curve(per_omega * dataset.order_sum(amplitudes, angle), color, name, f"{name}-{axis}", width))
+        direction = dataset.axis_names(balance)["xy".index(axis)]
+        panels.draw_chart(drawing, box, Chart(direction, "N", curves, _FROM_DEAD_CENTRE), 360 * angle, limit=limit)
     first, second = (complex(plain["force"].sel(axis="x", order=order).values) for order in (1.0, 2.0))
     ratio = "no secondary force." if first else "no primary force."
     if first and second:
         share = 100 * (second.real / first.real) if first.real else 0.0
         ratio = f"the secondary one adds {share:.3g} % at top dead centre and takes as much off at the bottom."
-    line = f"Force of the moving masses at {speed_key(speed)} rpm, {label_of('none', balance)}; {ratio}"
-    return headed(drawing, title, "primary and secondary", line, settings)
+    line = f"Force of the moving masses at {speed_key(speed)} rpm, {dataset.words_of('none', balance)[0]}; {ratio}"
+    return panels.headed(drawing, title, "primary and secondary", line, settings)
 
 
 def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
@@ -173,54 +139,51 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
     tall = _tall_orders(balance, least)
     last = max([4.0, *tall[: settings.max_labelled_orders]])
     shown = balance.sel(order=slice(None, last))
-    systems = [names for names in alike(balance["force"]) if balance["force"].sel(system=names[0]).any()]
-    forces = np.abs(shown["force"].sel(system=[names[0] for names in systems or [["none"]]]).values)
-    panels = [
-        (name[0].upper() + name[1:], "N", list(forces[:, row]), systems or [["none"]])
-        for row, name in enumerate(axis_names(balance))
-    ]
+    systems = [names for names in dataset.alike(balance["force"]) if balance["force"].sel(system=names[0]).any()]
+    drawn = systems or [["none"]]
+    forces = per_omega * np.abs(shown["force"].sel(system=[names[0] for names in drawn]).values)
+    names = [name[0].upper() + name[1:] for name in dataset.axis_names(balance)]
+    charts = [(name, "N", forces[:, row], drawn) for row, name in enumerate(names)]
     if "moment_by_system" in balance:
-        rocking = alike(balance["moment_by_system"])
+        rocking = dataset.alike(balance["moment_by_system"])
         moments = shown["moment_by_system"].sel(system=[names[0] for names in rocking]).values
         about_z, about_x, roll = 1e-3 * moments.swapaxes(0, 1)
         # the couple along Z and X as what turns with the crank and against it: the largest of the turn is their sum
         couple = (np.abs(about_x + 1j * about_z) + np.abs(about_x - 1j * about_z)) / 2
-        panels.append(("Rocking couple, the most of a turn", "N·m", list(couple), rocking))
-        panels.append(("Roll moment of the masses", "N·m", list(np.abs(roll)), rocking))
-    drawing = Drawing(settings.width_in, settings.height_in * (1.35 if len(panels) > 2 else 1.0))
-    boxes = [box for (box,) in boxes_of(drawing, len(panels), 1, right=1.0, gap=0.62)]
+        charts.append(("Rocking couple, the most of a turn", "N·m", per_omega * couple, rocking))
+        charts.append(("Roll moment of the masses", "N·m", per_omega * np.abs(roll), rocking))
+    drawing = Drawing(settings.width_in, settings.height_in * (1.35 if len(charts) > 2 else 1.0))
+    boxes = [box for (box,) in panels.boxes_of(drawing, len(charts), 1, right=1.0, gap=0.62)]
     orders = {float(order): order_text(order) for order in shown["order"].values}
-    for number, ((name, unit, heights, groups), box) in enumerate(zip(panels, boxes, strict=True)):
-        most = per_omega * max(float(np.max(panel[2])) for panel in panels if panel[1] == unit)
+    for number, ((name, unit, heights, groups), box) in enumerate(zip(charts, boxes, strict=True)):
+        most = max(float(sizes.max()) for _, alike, sizes, _ in charts if alike == unit)
         low, high = (least * most, 4 * most) if most else (1e-3, 1.0)
         panel = Panel(drawing, box, (0.4, last + 0.6), (low, high), log_y=True)
         panel.y_axis(unit)
         factor, right = (per_omega, "g·mm") if unit == "N" else (1e-3 * per_omega, "g·mm²")
         over_omega = replace(panel, y=(low / factor, high / factor))
         over_omega.y_axis(f"over ω², {right}", grid=False, right=True)
-        draw_bars(panel, orders, [per_omega * sizes for sizes in heights], [system_color(n[0]) for n in groups], low)
-        if not np.max(heights) * per_omega > low:
+        panels.draw_bars(panel, orders, list(heights), [system_color(names[0]) for names in groups], low)
+        if not np.max(heights) > low:
             panel.note(f"no {'force' if unit == 'N' else 'moment'} of any order")
         drawing.add(Words(box[0], box[1] + box[3] + 0.08, name))
         if number in (0, 2) and len(groups) > 1:
             start = text_width_in(name, NORMAL) + 0.3
-            key = [(called(names, balance), system_color(names[0])) for names in groups]
-            color_key(drawing, (box[0] + start, box[1], box[2] - start, box[3]), key)
+            key = [(dataset.called(names, balance), system_color(names[0])) for names in groups]
+            panels.color_key(drawing, (box[0] + start, box[1], box[2] - start, box[3]), key)
     drawing.add(Words(boxes[-1][0] + boxes[-1][2] / 2, 0.2, _ORDERS, along="centre"))
     line = f"Amplitude at {speed_key(speed)} rpm. Bars below {100 * least:.1g} % of the largest are left out."
     line += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
     idle = [str(name) for name in balance["system"].values if not any(name in names for names in systems)]
-    line += f" No force: {called(idle, balance)}." if idle else ""
-    return headed(drawing, title, "force by order", line, settings)
+    line += f" No force: {dataset.called(idle, balance)}." if idle else ""
+    return panels.headed(drawing, title, "force by order", line, settings)
 
 
 def _tall_orders(balance: xr.Dataset, least: float) -> list[float]:
     """Orders at which a force or a moment is above its share ``least`` of the largest, ascending."""
-    high = np.zeros(balance.sizes["order"], dtype=bool)
-    for name in {"force", "moment_by_system"} & set(balance):
-        amplitude = np.abs(balance[name].transpose(..., "order").values).reshape(-1, len(high))
-        high |= (amplitude > least * amplitude.max()).any(axis=0)
-    return [float(order) for order in balance["order"].values[high]]
+    sizes = [abs(balance[name]) for name in ("force", "moment_by_system") if name in balance]
+    high = [(size > least * size.max()).any(set(size.dims) - {"order"}).values for size in sizes]
+    return [float(order) for order in balance["order"].values[np.any(high, axis=0)]]
 
 
 _TURNS = {
@@ -240,42 +203,39 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
     """
     speed, per_omega = _at_highest_speed(balance)
     angle, system = balance["crank_angle"].values, balance["system"].values.tolist()
-    turning = dict(zip(system, balance["rotation"].values.tolist(), strict=True))
-    along, across = order_sum(balance["force"].sel(order=[1.0]).values, angle).swapaxes(0, 1)
-    whole = balance["curve"].sel(axis="x").values + 1j * balance["curve"].sel(axis="y").values
-    first, every = (dict(zip(system, per_omega * drawn, strict=True)) for drawn in (along + 1j * across, whole))
-    frame = frame_around(max(float(np.abs(curve).max()) for curve in (*first.values(), *every.values())))
+    along, across = dataset.order_sum(balance["force"].sel(order=[1.0]).values, angle).swapaxes(0, 1)
+    first, whole = along + 1j * across, balance["curve"].sel(axis="x") + 1j * balance["curve"].sel(axis="y")
+    frame = panels.frame_around(max(float(np.abs(per_omega * curves).max()) for curves in (first, whole.values)))
 
-    def diagrams(names: Sequence[str], curves: Mapping[str, Complexes]) -> list[Polar]:
+    def diagrams(names: Sequence[str], curves: Complexes) -> list[Polar]:
         polars = []
-        for name in present(balance, names):
-            most = float(np.abs(curves[name]).max())
-            built = name == "none" and balance.attrs[PLAIN] != SYSTEMS["none"][0]
-            meaning = "counterweights of its file, no shaft" if built else SYSTEMS[name][1]
-            head = (label_of(name, balance), meaning) if len(system) > 1 else ("force", "")
-            reach = f"up to {number_text(most)} N" if most > NO_FORCE * frame else "no force"
-            polars.append(Polar(curves[name], system_color(name), frame, (*head, reach, _TURNS[turning[name]])))
+        for name in dataset.present(balance, names):
+            curve, turns = per_omega * curves[system.index(name)], balance["rotation"].sel(system=name).item()
+            most = float(np.abs(curve).max())
+            head = dataset.words_of(name, balance) if len(system) > 1 else ("force", "")
+            reach = f"up to {number_text(most)} N" if most > dataset.NO_FORCE * frame else "no force"
+            polars.append(Polar(curve, system_color(name), frame, (*head, reach, _TURNS[turns])))
         return polars
 
-    rows = [("first harmonic alone", diagrams(COUNTERWEIGHTS, first))] if along.any() or across.any() else []
-    rows.append(("all harmonics", diagrams(COUNTERWEIGHTS, every)))
-    rows.append(("shafts, all harmonics", diagrams(SHAFT_SETS[1:], every)))
+    rows = [("first harmonic alone", diagrams(dataset.COUNTERWEIGHTS, first))] if along.any() or across.any() else []
+    rows.append(("all harmonics", diagrams(dataset.COUNTERWEIGHTS, whole.values)))
+    rows.append(("shafts, all harmonics", diagrams(dataset.SHAFT_SETS[1:], whole.values)))
     if "moment" in balance:
-        about_z, about_x, _ = 1e-3 * per_omega * order_sum(balance["moment"].values, angle)
+        about_z, about_x, _ = 1e-3 * per_omega * dataset.order_sum(balance["moment"].values, angle)
         moment = about_z + 1j * about_x
         most = float(np.abs(moment).max())
-        limit = frame_around(most)
+        limit = panels.frame_around(most)
         reach = [f"up to {number_text(most)} N·m", f"its axis; the frame is ±{number_text(limit)} N·m"]
         captions = ["rocking moment", "", *(reach if most else ("no moment", ""))]
         rows[-2][1].append(Polar(moment, LINES[1], limit, captions))
     rows = [row for row in rows if row[1]]
-    drawing, boxes = polar_grid([row for _, row in rows], settings, widest=4.4)
+    drawing, boxes = panels.polar_grid([row for _, row in rows], settings, widest=4.4)
     for (text, _), row in zip(rows, boxes, strict=True):
         drawing.add(Words(0.42, row[0][1] + row[0][3] / 2, text, bold=True, along="centre", upward=True))
     _crank_sense(drawing, boxes[0][0])
-    up, right = axis_names(balance)
+    up, right = dataset.axis_names(balance)
     line = f"Up {up}, right {right}; dots mark top dead centre. {speed_key(speed)} rpm; the frame is "
-    return headed(drawing, title, "polar diagrams", f"{line}±{number_text(frame)} N.", settings)
+    return panels.headed(drawing, title, "polar diagrams", f"{line}±{number_text(frame)} N.", settings)
 
 
 def _crank_sense(drawing: Drawing, box: Box) -> None:
@@ -284,7 +244,7 @@ def _crank_sense(drawing: Drawing, box: Box) -> None:
     turn = np.radians(np.linspace(150, 30, 20))
     arc = centre + 0.2 * np.column_stack([np.cos(turn), np.sin(turn)])
     drawing.add(Stroke(arc[:-2], FAINT, 1.0))
-    arrow_head(drawing, arc[-4], arc[-1], FAINT)
+    panels.arrow_head(drawing, arc[-4], arc[-1], FAINT)
     drawing.add(Words(float(centre[0]), float(centre[1]), "crank", SMALL - 1, FAINT, along="centre"))
 
 
@@ -303,8 +263,8 @@ def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, 
     if gas.any():  # the sum lies below the others: where it is alike with one of them both are seen
         curves = [Curve(gas + masses, INK, "together", width=3.0), Curve(gas, LINES[1], "gas"), *curves]
         kinds = {"gas_n_m": LINES[1], **kinds}
-    (above,), (below,) = boxes_of(drawing, 2, 1)
-    panel = draw_chart(drawing, above, Chart("", "N·m", curves), shown["crank_angle"].values)
+    (above,), (below,) = panels.boxes_of(drawing, 2, 1)
+    panel = panels.draw_chart(drawing, above, Chart("", "N·m", curves), shown["crank_angle"].values)
     if moment["power_w"] is not None:
         panel.curve(np.array(panel.x), np.full(2, moment["mean_n_m"]), color=INK, width=0.9, dashes=(4.0, 3.0))
     heights = np.array([[of_order[kind] for of_order in moment["by_order"].values()] for kind in kinds])
@@ -314,14 +274,14 @@ def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, 
     panel = Panel(drawing, below, (-0.6, max(len(tall), 6) - 0.4), (0.0, 1.15 * largest or 1.0))
     panel.y_axis("N·m, amplitude")
     orders = {float(place): names[at] for place, at in enumerate(tall)}
-    draw_bars(panel, orders, list(heights[:, tall]), list(kinds.values()), 0.0)
+    panels.draw_bars(panel, orders, list(heights[:, tall]), list(kinds.values()), 0.0)
     drawing.add(Words(below[0] + below[2] / 2, below[1] - 0.36, _ORDERS, along="centre"))
     ends = f"{number_text(moment['least_n_m'])} to {number_text(moment['peak_n_m'])} N·m"
     mean = "" if moment["power_w"] is None else f"; mean {number_text(moment['mean_n_m'])} N·m (dashed)"
     swing = moment["speed_fluctuation"]
     swings = "" if swing is None else f"; the speed swings by {number_text(100 * swing)} %"
     line = f"Torque on the crank at {speed_key(speed)} rpm, {ends}{mean}{swings}."
-    return headed(drawing, title, "turning moment", line, settings)
+    return panels.headed(drawing, title, "turning moment", line, settings)
 
 
 def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> Drawing:
@@ -339,7 +299,7 @@ def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> 
         for place, (x, z) in zip(shown["bearing"].values, shown["main_bearing_load"].values, strict=True):
             loads[f"main bearing at {1e3 * float(place):.4g} mm".replace("-", "−")] = np.stack([z, x])
     peaks = [float(np.hypot(*load).max()) for load in loads.values()]
-    of_pin, of_bearings = frame_around(peaks[0]), frame_around(max(peaks[1:], default=0.0))
+    of_pin, of_bearings = panels.frame_around(peaks[0]), panels.frame_around(max(peaks[1:], default=0.0))
     polars = []
     for number, ((name, load), peak) in enumerate(zip(loads.items(), peaks, strict=True)):
         closed = np.append(load, load[:, :1], axis=1)
@@ -348,17 +308,17 @@ def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> 
         polars.append(Polar(closed[0] + 1j * closed[1], LINES[number % len(LINES)], limit, captions))
     rows = [polars[at : at + 3] for at in range(0, len(polars), 3)]
     above = 4.3  # for the curves
-    drawing, _ = polar_grid(rows, settings, widest=3.2, above=above)
+    drawing, _ = panels.polar_grid(rows, settings, widest=3.2, above=above)
     crank_pin, piston_pin = (np.hypot(*first[name].values) for name in ("crank_pin_load", "piston_pin_load"))
     pins = [Curve(crank_pin, LINES[0], "crank pin"), Curve(piston_pin, LINES[1], "piston pin")]
     if np.allclose(crank_pin, piston_pin, rtol=1e-6):  # the file gives the rod no mass of its own
         pins = [Curve(crank_pin, LINES[0], "crank pin and piston pin alike")]
     pins.append(Curve(first["wall_load"].values, LINES[len(pins)], "wall, in the crank's way"))
     box = (LEFT, drawing.height_in - above + 0.6, settings.width_in - LEFT - RIGHT, 2.6)
-    draw_chart(drawing, box, Chart("", "N, cylinder 0", pins), shown["crank_angle"].values)
+    panels.draw_chart(drawing, box, Chart("", "N, cylinder 0", pins), shown["crank_angle"].values)
     line = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(of_pin)} N for the pin"
     line += "." if len(peaks) == 1 else f", ±{number_text(of_bearings)} N for the main bearings."
-    return headed(drawing, title, "loads", line, settings)
+    return panels.headed(drawing, title, "loads", line, settings)
 
 
 _ANGLES = np.arange(361) / 360
@@ -374,45 +334,40 @@ def hinge_figure(
     """
     crank, curve = mechanism.crank, engine.curve
 
-    def by_speed(name: str, values: Callable[[float], Floats]) -> list[Curve]:
-        return [
-            Curve(values(speed), LINES[number % len(LINES)], f"{speed:.0f} rpm", f"{name}-{number}")
-            for number, speed in enumerate(speeds_rpm)
-        ]
+    def by_speed(name: str, values: Callable[..., Floats], **how: Any) -> list[Curve]:
+        drawn = [values(_ANGLES, crank, curve, speed_rpm=speed, **how) for speed in speeds_rpm]
+        looks = [(LINES[n % len(LINES)], f"{speed:.0f} rpm", f"{name}-{n}") for n, speed in enumerate(speeds_rpm)]
+        return [Curve(line, *look) for line, look in zip(drawn, looks, strict=True)]
 
-    def moment(kind: Any) -> Callable[[float], Floats]:
-        return lambda speed: hinge_moment(_ANGLES, crank, curve, speed_rpm=speed, pin_hinge=kind)
-
-    def of_hinge(joint: Joint) -> list[Curve]:
-        return by_speed(joint, lambda speed: hinge_table(crank, curve, joint=joint, speed_rpm=speed).moment_nm)
+    def of_hinge(_: Floats, *torque: Any, **how: Any) -> Floats:
+        return hinge_table(*torque, **how).moment_nm
 
     left, hinges = [], {"printed": ("after equation (6)", LINES[1]), "potential": ("of a spring, without work", INK)}
     for kind, (text, color) in hinges.items():
-        force = side_force(_ANGLES, crank, curve, pin_hinge=kind)  # type: ignore[arg-type]  # a Literal, by its text
+        force = hinged.side_force(_ANGLES, crank, curve, pin_hinge=kind)  # type: ignore[arg-type]  # a Literal, by its text
         most = f"{text}: up to {number_text(float(np.abs(force).max()))} N"
         left.append(Curve(force, color, most, f"side-force-{kind}"))
     torque = [
-        Curve(crank_torque(_ANGLES, curve), INK, "whole", "torque"),
-        Curve(potential_torque(_ANGLES, curve), LINES[0], "without its mean", "torque-potential", 0.9),
+        Curve(hinged.crank_torque(_ANGLES, curve), INK, "whole", "torque"),
+        Curve(hinged.potential_torque(_ANGLES, curve), LINES[0], "without its mean", "torque-potential", 0.9),
     ]
-    without = by_speed("side-force", lambda speed: side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed))
-    between = by_speed("m12-full", moment("full"))
-    for line in by_speed("m12-printed", moment("printed")):
+    between = by_speed("m12-full", hinged.hinge_moment, pin_hinge="full")
+    for line in by_speed("m12-printed", hinged.hinge_moment, pin_hinge="printed"):
         between.append(line._replace(text="", width=2.2, alpha=0.6, dashes=(3.0, 2.0)))
     charts = (
         Chart("Crank torque, and its part without work", "N·m", torque),
-        Chart("Side force without a hinge, R430 (5)", "N", without),
+        Chart("Side force without a hinge, R430 (5)", "N", by_speed("side-force", hinged.side_force_without_hinge)),
         Chart("Side force that a hinge leaves, R43 (7)", "N", left),
         Chart("Moment between crank and rod, M12 (4); dashed (6)", "N·m", between),
-        Chart("Hinge at the crank pin (a spring)", "N·m", of_hinge("pin"), "hinge angle, °"),
-        Chart("Hinge between strut and crank (a spring)", "N·m", of_hinge("strut")),
+        Chart("Hinge at the crank pin (a spring)", "N·m", by_speed("pin", of_hinge, joint="pin"), "hinge angle, °"),
+        Chart("Hinge between strut and crank (a spring)", "N·m", by_speed("strut", of_hinge, joint="strut")),
     )
     drawing = Drawing(settings.width_in, 1.38 * settings.height_in)
-    boxes = [box for row in boxes_of(drawing, 3, 2) for box in row]
-    drawn = [draw_chart(drawing, box, chart, 360 * _ANGLES) for chart, box in zip(charts, boxes, strict=True)]
-    _mark_torque(drawn[0], curve.mean_nm, *torque_extrema(curve))
+    boxes = [box for row in panels.boxes_of(drawing, 3, 2) for box in row]
+    drawn = [panels.draw_chart(drawing, box, chart, 360 * _ANGLES) for chart, box in zip(charts, boxes, strict=True)]
+    _mark_torque(drawn[0], curve.mean_nm, *hinged.torque_extrema(curve))
     subtitle = f"{drawable(engine.title, 2 * settings.max_name_characters)}. At a constant crank speed."
-    return headed(drawing, mechanism.name, "elastic hinges", subtitle, settings)
+    return panels.headed(drawing, mechanism.name, "elastic hinges", subtitle, settings)
 
 
 def _mark_torque(panel: Panel, mean_nm: float, angles_rev: Floats, torques_nm: Floats) -> None:
@@ -448,9 +403,8 @@ def guide_figure(
         cut = "sharper than the roller: it cannot be cut" if guides.undercut else "the roller reaches every point"
         text = f"spring {number_text(1e-3 * guides.stiffness_n_per_m)} N/mm, steepest {guides.steepest_deg:.0f}°; {cut}"
         drawing.add(Words(left + side / 2, side + 0.42, text, SMALL + 0.5, along="centre"))
-    subtitle = f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; "
-    subtitle += "the spring between them is shown at four angles."
-    return headed(drawing, mechanism.name, "guides of the elastic hinges", subtitle, settings)
+    line = f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; the spring between them is shown at four angles."
+    return panels.headed(drawing, mechanism.name, "guides of the elastic hinges", line, settings)
 
 
 def _draw_guides(drawing: Drawing, box: Box, guides: Guides, data: GuideData) -> None:
@@ -462,21 +416,20 @@ def _draw_guides(drawing: Drawing, box: Box, guides: Guides, data: GuideData) ->
         drawing.add(Area(panel.at(outline.real, outline.imag), GRID))
     for surface in (guides.outer_m, guides.inner_m):
         panel.curve(surface.real, surface.imag, color=INK, name="guide")
-    paths = [(data.middle_radius_m + sign * guides.length_m / 2) * turn for sign in (1, -1)]
+    paths = np.array([(data.middle_radius_m + sign * guides.length_m / 2) * turn for sign in (1, -1)])
     for path in paths:
         panel.curve(path.real, path.imag, color=FAINT, width=0.7, dashes=(4.0, 3.0))
     quarter, radius = len(turn) // 4, 72 * data.roller_radius_m * box[2] / (2 * limit)
-    for row in (number * quarter + quarter // 3 for number in range(4)):
-        ends = np.array([path[row] for path in paths])
+    for ends in paths[:, quarter // 3 + quarter * np.arange(4)].T:
         spring = _spring(*ends)
         panel.curve(spring.real, spring.imag, color=LINES[1], width=1.0)
         panel.rings(ends.real, ends.imag, color=WHITE, radius=radius)
         panel.rings(ends.real, ends.imag, color=LINES[1], radius=radius, width=1.3)
     x, y = panel.at(0.0, 0.0)[0]
     drawing.add(Words(x, y, "+", NORMAL + 2, along="centre", across="centre"))
-    for angle_deg in range(0, 360, 30):
-        x, y = panel.at(*(0.93 * limit * np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])))[0]
-        drawing.add(Words(x, y, f"{angle_deg}°", SMALL, FAINT, along="centre", across="centre"))
+    dial = 0.93 * limit * np.exp(1j * np.radians(np.arange(0, 360, 30)))
+    for number, (x, y) in enumerate(panel.at(dial.real, dial.imag)):
+        drawing.add(Words(x, y, f"{30 * number}°", SMALL, FAINT, along="centre", across="centre"))
 
 
 def _spring(outer: complex, inner: complex) -> Complexes:

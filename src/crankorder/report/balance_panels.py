@@ -38,14 +38,14 @@ class Curve(NamedTuple):
 
 
 def boxes_of(
-    drawing: Drawing, rows: int, columns: int, *, top: float = _TOP, right: float = RIGHT, gap: float = _GAP_Y
+    drawing: Drawing, rows: int, columns: int, *, right: float = RIGHT, gap: float = _GAP_Y
 ) -> list[list[Box]]:
     """Boxes [inches] of panels in ``rows`` from the top and ``columns``, with ``gap`` inches between rows.
 
-    They leave ``top`` and ``right`` inches of the ``drawing`` free.
+    They leave ``right`` inches of the ``drawing`` free.
     """
     width = (drawing.width_in - LEFT - right - (columns - 1) * _GAP_X) / columns
-    height = (drawing.height_in - top - _BOTTOM - (rows - 1) * gap) / rows
+    height = (drawing.height_in - _TOP - _BOTTOM - (rows - 1) * gap) / rows
     bottoms = [_BOTTOM + (rows - 1 - row) * (height + gap) for row in range(rows)]
     return [[(LEFT + n * (width + _GAP_X), bottom, width, height) for n in range(columns)] for bottom in bottoms]
 
@@ -150,13 +150,11 @@ def polar_grid(
     step = (settings.width_in - LEFT - 0.05) / max(map(len, rows))
     side, head = min(step - 0.2, widest), 0.84
     drawing = Drawing(settings.width_in, above + 0.3 + len(rows) * (side + head))
-    bottoms = [0.3 + (len(rows) - 1 - row) * (side + head) for row in range(len(rows))]
-    boxes = [
-        [(LEFT + place * step, bottom, side, side) for place in range(len(row))]
-        for row, bottom in zip(rows, bottoms, strict=True)
-    ]
-    for row, places in zip(rows, boxes, strict=True):
-        for polar, box in zip(row, places, strict=True):
+    boxes: list[list[Box]] = []
+    for number, row in enumerate(rows, start=1):
+        bottom = 0.3 + (len(rows) - number) * (side + head)
+        boxes.append([(LEFT + place * step, bottom, side, side) for place in range(len(row))])
+        for polar, box in zip(row, boxes[-1], strict=True):
             _polar(drawing, box, polar)
     return drawing, boxes
 
@@ -166,9 +164,8 @@ def _polar(drawing: Drawing, box: Box, polar: Polar) -> None:
     curve, color, limit, captions = polar
     left, bottom, side, _ = box
     for line, text in enumerate(captions):
-        last = line and line == len(captions) - 1
-        y = bottom + side + 0.07 + 0.14 * (len(captions) - 1 - line)
-        size, ink = (SMALL + 0.5, FAINT if last else INK) if line else (NORMAL, INK)
+        below, size = len(captions) - 1 - line, SMALL + 0.5 if line else NORMAL
+        ink, y = INK if below or not line else FAINT, bottom + side + 0.07 + 0.14 * below
         drawing.add(Words(left + side / 2, y, text, size, ink, bold=not line, along="centre"))
     panel = Panel(drawing, box, (-limit, limit), (-limit, limit))
     panel.upright(0.0, color=GRID)

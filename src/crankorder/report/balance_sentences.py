@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from crankorder.engine.balancing import MOMENT_AXES
 from crankorder.engine.forces import newton, speed_key
 from crankorder.errors import plain_number
 from crankorder.plot.reading import listed
@@ -21,7 +22,8 @@ ALIGNED_SHARE = 1e-9
 CYLINDER = {"x": "along the cylinder", "y": "across the cylinder"}
 FRAME = {"x": "along Z", "y": "along X"}
 """Words for the two directions, for one cylinder and for several; Z points from the crankshaft to the middle bank."""
-COUPLES = {"about_y": "about X", "about_x": "about Z"}
+ABOUT = {name: f"about {axis}" for name, axis in MOMENT_AXES.items()}
+COUPLES = {name: ABOUT[name] for name in ("about_y", "about_x")}
 _NO_FORCE = "no force"
 
 
@@ -38,124 +40,114 @@ def balance_sentences(sheet: Part) -> list[str]:
     ``sheet`` is the balance sheet of the engine; forces are named at the highest of its speeds.
     """
     speed_rpm = max(map(float, sheet["force_n"]))
-    where = CYLINDER if sheet["strategies"] else FRAME
-    state, force = plain_state(sheet), _amounts(sheet["force_g_mm"], speed_rpm, where=where)
+    parts = {**sheet, "plain": sheet, "pairs": sheet["shafts"]["pairs"], "single_causes": sheet}
+    told = (text for name, of_part in _OF_PARTS.items() if parts[name] for text in of_part(parts[name], speed_rpm))
+    return [text[0].upper() + text[1:] for text in told]
+
+
+def _of_plain(sheet: Part, speed_rpm: float) -> Iterator[str]:
+    """Force and moments of the engine without its shafts, and how fast its pistons are."""
+    force = _amounts(sheet["force_g_mm"], speed_rpm, where=CYLINDER if sheet["strategies"] else FRAME)
     shakes = "no force shakes the engine" if force == _NO_FORCE else f"the engine shakes with {force}"
+    yield f"{plain_state(sheet)} {shakes}."
+    yield from _of_moments(sheet["moment_g_mm2"], speed_rpm)
     key, piston = speed_key(speed_rpm), sheet["piston"]
     mean, fastest = (plain_number(piston[name][key]) for name in ("mean_m_s", "fastest_m_s"))
-    sentences = [
-        _capital(f"{state} {shakes}."),
-        *_of_moments(sheet["moment_g_mm2"], speed_rpm),
-        f"At {key} rpm a piston moves at {mean} m/s in the mean and {fastest} m/s at most, at "
-        f"{piston['fastest_deg']:.4g}° after its dead centre.",
-    ]
-    parts = {**sheet, "pairs": sheet["shafts"]["pairs"], "single_causes": sheet}
-    for name, of_part in _OF_PARTS.items():
-        sentences += of_part(parts[name], speed_rpm) if parts[name] else []
-    return sentences
+    at = f"{piston['fastest_deg']:.4g}° after its dead centre"
+    yield f"At {key} rpm a piston moves at {mean} m/s in the mean and {fastest} m/s at most, at {at}."
 
 
-def _capital(text: str) -> str:
-    return text[0].upper() + text[1:]
+def _newton(amount: float, speed_rpm: float, unit: str = "N") -> str:
+    """Force of an ``amount`` (g·mm) over ω², or moment (``unit`` N·m) of one in g·mm², at a speed, as text."""
+    scale = 1.0 if unit == "N" else 1e-3
+    return f"{plain_number(scale * newton(amount, speed_rpm))} {unit}"
 
 
 def _amount(amount_g_mm: float, speed_rpm: float) -> str:
-    force = plain_number(newton(abs(amount_g_mm), speed_rpm))
-    return f"{abs(amount_g_mm):.5g} g·mm ({force} N at {speed_key(speed_rpm)} rpm)"
-
-
-def _newton_metres(amount_g_mm2: float, speed_rpm: float) -> str:
-    return plain_number(1e-3 * newton(amount_g_mm2, speed_rpm))
+    size = abs(amount_g_mm)
+    return f"{size:.5g} g·mm ({_newton(size, speed_rpm)} at {speed_key(speed_rpm)} rpm)"
 
 
 def _amounts(axes: Part, speed_rpm: float, most: int = 2, where: Mapping[str, str] = CYLINDER) -> str:
     """The first ``most`` orders in each direction, as one phrase."""
-    phrases = []
-    for axis, direction in where.items():
-        orders = list((axes[axis] or {}).items())[:most]
-        phrases += [f"{_amount(amount, speed_rpm)} of order {order} {direction}" for order, amount in orders]
+    phrases = [
+        f"{_amount(amount, speed_rpm)} of order {order} {direction}"
+        for axis, direction in where.items()
+        for order, amount in list((axes[axis] or {}).items())[:most]
+    ]
     return listed(phrases) or _NO_FORCE
 
 
-def _of_moments(moments: Part, speed_rpm: float, *, state: str = "") -> list[str]:
+def _of_moments(moments: Part, speed_rpm: float, *, state: str = "") -> Iterator[str]:
     """The three largest orders of each couple and of the roll moment; ``state``: words that come first."""
     largest = max((size for orders in moments.values() for size in (orders or {}).values()), default=0.0)
     kinds = {axis: f"a rocking couple {about}" for axis, about in COUPLES.items()}
     kinds["about_crankshaft"] = "a roll moment of the masses about the crankshaft"
-    sentences = []
     for axis, kind in kinds.items():
         shown = {order: size for order, size in (moments[axis] or {}).items() if size > ALIGNED_SHARE * largest}
         top = sorted(sorted(shown, key=lambda order: -shown[order])[:3], key=float)
         if top:
-            sizes = listed([f"{_newton_metres(shown[order], speed_rpm)} N·m of order {order}" for order in top])
-            sentences.append(_capital(f"{state}{kind} remains: {sizes} at {speed_key(speed_rpm)} rpm."))
-    return sentences
+            sizes = listed([f"{_newton(shown[order], speed_rpm, 'N·m')} of order {order}" for order in top])
+            yield f"{state}{kind} remains: {sizes} at {speed_key(speed_rpm)} rpm."
 
 
-def _of_cycle(cycle: Part, speed_rpm: float) -> list[str]:
+def _of_cycle(cycle: Part, speed_rpm: float) -> Iterator[str]:
     """What fires when, whether gas or masses turn the crank unevenly, and what the bearings carry."""
-    key, sentences = speed_key(speed_rpm), []
-    firing, turning = cycle["firing"], cycle["turning"][key]
+    at = f"at {speed_key(speed_rpm)} rpm"
+    firing, turning = cycle["firing"], cycle["turning"][speed_key(speed_rpm)]
+    power_w, swing, orders = turning["power_w"], turning["speed_fluctuation"], turning["by_order"]
+    mean, least, peak = (plain_number(turning[name]) for name in ("mean_n_m", "least_n_m", "peak_n_m"))
     if firing is not None and len(firing["interval_deg"]) > 1:
         intervals = [f"{plain_number(interval)}°" for interval in firing["interval_deg"]]
         evenly = f"evenly, every {intervals[0]}" if firing["even"] else f"unevenly, at intervals of {listed(intervals)}"
-        sentences.append(f"It fires {evenly}.")
-    power_w, swing = turning["power_w"], turning["speed_fluctuation"]
+        yield f"It fires {evenly}."
     if power_w is not None:
-        sentences.append(
-            f"The gas turns the crank with {plain_number(turning['mean_n_m'])} N·m in the mean, "
-            f"{plain_number(power_w / 1e3)} kW at {key} rpm without friction."
-        )
-    orders = turning["by_order"]
+        power = plain_number(power_w / 1e3)
+        yield f"The gas turns the crank with {mean} N·m in the mean, {power} kW {at} without friction."
     phrases = []
     largest = sorted(orders, key=lambda order: -max(orders[order]["gas_n_m"], orders[order]["inertia_n_m"]))[:2]
     for order in sorted(largest, key=float):
         torque, alike = orders[order], orders[order]["alike_at_rpm"]
         gas = "" if power_w is None else f"gas {plain_number(torque['gas_n_m'])}, "
-        at = "" if alike is None else f" (alike at {plain_number(alike)} rpm)"
-        phrases.append(f"order {order}: {gas}masses {plain_number(torque['inertia_n_m'])} N·m{at}")
+        where = "" if alike is None else f" (alike at {plain_number(alike)} rpm)"
+        phrases.append(f"order {order}: {gas}masses {plain_number(torque['inertia_n_m'])} N·m{where}")
     if phrases:
-        least, peak = (plain_number(turning[name]) for name in ("least_n_m", "peak_n_m"))
-        text = f"The turning moment swings between {least} and {peak} N·m at {key} rpm"
-        sentences.append(f"{text}; {'; '.join(phrases)}.")
+        yield f"The turning moment swings between {least} and {peak} N·m {at}; {'; '.join(phrases)}."
     if swing is not None:
-        sentences.append(f"Its speed swings by {100 * swing:.3g} % within the cycle at {key} rpm.")
-    return sentences if cycle["loads"] is None else [*sentences, _of_loads(cycle["loads"][key], key)]
+        yield f"Its speed swings by {100 * swing:.3g} % within the cycle {at}."
+    if cycle["loads"] is not None:
+        yield f"{at} {_of_loads(cycle['loads'][speed_key(speed_rpm)])}."
 
 
-def _of_loads(loads: Part, key: str) -> str:
-    wall, pin = (
-        plain_number(max(cylinder[name]["peak_n"] for cylinder in loads["cylinders"])) for name in ("wall", "crank_pin")
-    )
-    text = f"At {key} rpm a piston presses on its wall with up to {wall} N and a rod on its crank pin with {pin} N"
+def _of_loads(loads: Part) -> str:
+    peaks = {name: max(one[name]["peak_n"] for one in loads["cylinders"]) for name in ("wall", "crank_pin")}
+    wall, pin = map(plain_number, peaks.values())
+    text = f"a piston presses on its wall with up to {wall} N and a rod on its crank pin with {pin} N"
     if loads["main_bearings"] is None:
-        return f"{text}."
+        return text
     top = max(loads["main_bearings"], key=lambda bearing: bearing["peak_n"])
     place, peak, angle, mean = (plain_number(top[name]) for name in ("position_mm", "peak_n", "peak_deg", "mean_n"))
-    carries = f"the main bearing at {place} mm carries the most, up to {peak} N at {angle}° and {mean} N in the mean"
-    return f"{text}; {carries}."
+    return (
+        f"{text}; the main bearing at {place} mm carries the most, up to {peak} N at {angle}° and {mean} N in the mean"
+    )
 
 
-def _of_strategies(strategies: Part, speed_rpm: float) -> list[str]:
-    sentences = []
+def _of_strategies(strategies: Part, speed_rpm: float) -> Iterator[str]:
     for name, balance in strategies.items():
         if balance is None:
             continue
+        total, couple, turning = balance["total_g"], balance["couple_g_mm2"], balance["rotation"]
         if name == "d":
-            couple, adds = balance["couple_g_mm2"], "takes off" if balance["total_g"] < 0 else "adds"
-            size = "" if couple is None else f" of up to {_newton_metres(couple, speed_rpm)} N·m"
-            sentences.append(
-                f"Strategy d {adds} {abs(balance['total_g']):.5g} g and leaves no force of any order; a couple{size} "
-                f"at {speed_key(speed_rpm)} rpm remains."
-            )
+            adds = f"{'takes off' if total < 0 else 'adds'} {abs(total):.5g} g"
+            size = "" if couple is None else f" of up to {_newton(couple, speed_rpm, 'N·m')}"
+            remains = f"a couple{size} at {speed_key(speed_rpm)} rpm remains"
+            yield f"Strategy d {adds} and leaves no force of any order; {remains}."
             continue
         sizes = {axis: balance[f"residual_{axis}_g_mm"] for axis in "xy"}
         first = _amounts({axis: {"1": size} if size else None for axis, size in sizes.items()}, speed_rpm)
-        turns = f", turning {balance['rotation'].replace('crank', 'the crank')}"
-        turns = turns if balance["rotation"].endswith("crank") else ""
+        turns = f", turning {turning.replace('crank', 'the crank')}" if turning.endswith("crank") else ""
         higher = ", and every higher order along the cylinder" if balance["higher_orders_x_g_mm"] else ""
-        sentences.append(f"Strategy {name} ({_on_crank(balance)}) leaves {first}{turns}{higher}.")
-    return sentences
+        yield f"Strategy {name} ({_on_crank(balance)}) leaves {first}{turns}{higher}."
 
 
 def _on_crank(strategy: Part) -> str:
@@ -166,123 +158,110 @@ def _on_crank(strategy: Part) -> str:
     return f"{grams:.5g} g on the crank" + (f", {angle_deg:.5g}° on from opposite to its pin" if angle_deg else "")
 
 
-def _of_shafts(shafts: Part, speed_rpm: float) -> list[str]:
-    sets = {name: layout for name, layout in shafts.items() if layout and "strategy" in layout}
-    sentences = [
-        f"Shafts of possibility {name} on strategy {layout['strategy']} leave "
-        f"{_amounts(layout['residual_g_mm'], speed_rpm, most=1)} first of all."
-        for name, layout in sets.items()
-    ]
-    own = shafts["own"]
+def shaft_sets(shafts: Part) -> dict[str, Part]:
+    """Possibilities of additional shafts by name; none where the engine has several cylinders."""
+    return {name: layout for name, layout in shafts.items() if layout and "strategy" in layout}
+
+
+def layouts_of(sheet: Part) -> dict[str, Part]:
+    """Every set or design of shafts of a ``sheet``, and the engine's own, by name: with what it leaves."""
+    own, design = sheet["shafts"]["own"], sheet["design"] or {"layouts": {}}
+    return {**shaft_sets(sheet["shafts"]), **design["layouts"], **({} if own is None else {"own": own})}
+
+
+def _of_shafts(shafts: Part, speed_rpm: float) -> Iterator[str]:
+    sets, own = shaft_sets(shafts), shafts["own"]
+    for name, layout in sets.items():
+        left = _amounts(layout["residual_g_mm"], speed_rpm, most=1)
+        yield f"Shafts of possibility {name} on strategy {layout['strategy']} leave {left} first of all."
     if own is not None:
         left = _amounts(own["residual_g_mm"], speed_rpm, most=4, where=CYLINDER if sets else FRAME)
         orders = " and ".join(map(str, own["orders"]))
-        sentences.append(f"With its own shafts for order {orders} the engine still shakes with {left}.")
-        sentences += _of_moments(own["residual_moment_g_mm2"], speed_rpm, state="With them ")
-    return sentences
+        yield f"With its own shafts for order {orders} the engine still shakes with {left}."
+        yield from _of_moments(own["residual_moment_g_mm2"], speed_rpm, state="With them ")
 
 
-def _of_designs(design: Part, speed_rpm: float) -> list[str]:
+def _of_designs(design: Part, speed_rpm: float) -> Iterator[str]:
     """What crank webs can take of an engine of several cylinders, what shafts it needs, and what these leave."""
-    sentences = [
-        f"Crank webs can take {plain_number(100 * share)} % of the primary {kind} of the pistons."
-        for kind, share in design["primary_share"].items()
-        if share is not None
-    ]
+    for kind, share in design["primary_share"].items():
+        if share is not None:
+            yield f"Crank webs can take {plain_number(100 * share)} % of the primary {kind} of the pistons."
     for name, layout in design["layouts"].items():
-        left = _largest_left(layout, speed_rpm)
-        if name == "webs":
-            sentences.append(f"Counterweights on the crank webs alone leave {left}.")
-            continue
         ratios = [f"{shaft['speed_ratio']:+d}".replace("-", "−") for shaft in layout["shafts"]]
         shafts = listed([f"at {ratio} times crank speed" for ratio in ratios])
         webs = "with those counterweights " if layout["webs"] else ""
-        number, leave = ("one shaft", "leaves") if len(ratios) == 1 else ("shafts", "leave")
-        sentences.append(_capital(f"{webs}{number} {shafts} {leave} {left}."))
+        those = f"{webs}one shaft {shafts} leaves" if len(ratios) == 1 else f"{webs}shafts {shafts} leave"
+        carriers = "Counterweights on the crank webs alone leave" if name == "webs" else those
+        yield f"{carriers} {_largest_left(layout, speed_rpm)}."
     height = design["roll_height_mm"]
     if height is not None and abs(height) > 1e-9:
-        where = "above" if height > 0 else "below"
-        sentences.append(
-            f"Where the second-order shaft that turns with the crank sits {plain_number(abs(height))} mm {where} the "
-            "other, the pair takes the second-order roll moment of the masses too."
-        )
-    return sentences
+        where = f"{plain_number(abs(height))} mm {'above' if height > 0 else 'below'} the other"
+        takes = "the pair takes the second-order roll moment of the masses too"
+        yield f"Where the second-order shaft that turns with the crank sits {where}, {takes}."
 
 
 def _largest_left(layout: Part, speed_rpm: float) -> str:
     """The largest force and the largest couple that a design leaves, in words."""
-    phrases = []
-    for key, scale, unit, names in (
-        ("residual_g_mm", 1.0, "N", FRAME), ("residual_moment_g_mm2", 1e-3, "N·m", COUPLES),
-    ):  # fmt: skip
+    phrases, nothing = [], [_NO_FORCE, "no rocking couple"]
+    kinds = (("residual_g_mm", "N", FRAME), ("residual_moment_g_mm2", "N·m", COUPLES))
+    for (key, unit, names), none in zip(kinds, nothing, strict=True):
         sizes = [(size, order, names[axis]) for axis in names for order, size in (layout[key][axis] or {}).items()]
-        if sizes:
-            size, order, direction = max(sizes)
-            amount = plain_number(scale * newton(size, speed_rpm))
-            phrases.append(f"at most {amount} {unit} of order {order} {direction}")
-        else:
-            phrases.append(_NO_FORCE if unit == "N" else "no rocking couple")
-    if phrases == [_NO_FORCE, "no rocking couple"]:
+        size, order, direction = max(sizes, default=(0.0, "", ""))
+        phrases.append(f"at most {_newton(size, speed_rpm, unit)} of order {order} {direction}" if sizes else none)
+    if phrases == nothing:
         return "neither force nor rocking couple"
     return f"{' and '.join(phrases)} at {speed_key(speed_rpm)} rpm"
 
 
-def tolerance_sentences(study: Part, speed_rpm: float) -> list[str]:
-    """Sentences on the force and couple that a series of engines leaves, and on what one mistiming adds.
+def tolerance_sentences(study: Part, speed_rpm: float) -> Iterator[str]:
+    """What a series leaves, and what one mistiming adds.
 
     ``study`` is that of the tolerances; ``speed_rpm`` is the crank speed [rpm], above 0, at which couples are named.
     """
-    spread, rocking = study["force_g_mm"], study["couple_g_mm2"]
+    spread, rocking, late = study["force_g_mm"], study["couple_g_mm2"], study["mistiming"]
     largest, worst = (max(left, key=lambda order: left[order]["95 %"]) for left in (spread, rocking))
     widest = max(spread, key=lambda order: spread[order]["97.5 %"] - spread[order]["2.5 %"])
 
     def span(order: str) -> str:
         high, least, most = (plain_number(spread[order][share]) for share in ("95 %", "2.5 %", "97.5 %"))
-        return f"{high} g·mm (the middle 95 % between {least} and {most} g·mm)"
+        return f"less than {high} g·mm (the middle 95 % between {least} and {most} g·mm) of"
 
     def rocks(size: float, order: str) -> str:
-        return f"{_newton_metres(size, speed_rpm)} N·m of order {order} at {speed_key(speed_rpm)} rpm"
+        return f"{_newton(size, speed_rpm, 'N·m')} of order {order} at {speed_key(speed_rpm)} rpm"
 
     of_largest = "their largest and the one that errors spread most" if largest == widest else "their largest"
-    left = "no force"
-    if spread[largest]["95 %"] > NO_FORCE_G_MM:
-        left = f"less than {span(largest)} of order {largest}, {of_largest}"
-    sentences = [f"Of {study['samples']} engines drawn within the tolerances 95 % leave {left}."]
+    some = spread[largest]["95 %"] > NO_FORCE_G_MM
+    left = f"{span(largest)} order {largest}, {of_largest}" if some else "no force"
+    yield f"Of {study['samples']} engines drawn within the tolerances 95 % leave {left}."
     if largest != widest and spread[widest]["95 %"] > NO_FORCE_G_MM:
-        sentences.append(f"Errors spread order {widest} most: 95 % leave less than {span(widest)} of it.")
+        yield f"Errors spread order {widest} most: 95 % leave {span(widest)} it."
     couple = rocking[worst]["95 %"]
     if couple > NO_COUPLE_G_MM2:
-        sentences.append(f"95 % rock with a couple of less than {rocks(couple, worst)}, their largest.")
-    late = study["mistiming"]
+        yield f"95 % rock with a couple of less than {rocks(couple, worst)}, their largest."
     if late is not None:
         force, order = max((late["force_g_mm"][order], order) for order in late["orders"])
         couple, rocked = max((late["couple_g_mm2"][order], order) for order in late["orders"])
         remains = [f"{plain_number(force)} g·mm of order {order}"] if force > NO_FORCE_G_MM else []
         remains += [f"a couple of {rocks(couple, rocked)}"] if couple > NO_COUPLE_G_MM2 else []
-        words = " and ".join(remains) or "nothing of their orders"
-        sentences.append(f"All shafts late by {late['deg']:g}° leave {words}.")
-    return sentences
+        yield f"All shafts late by {late['deg']:g}° leave {' and '.join(remains) or 'nothing of their orders'}."
 
 
-def _of_pairs(pairs: Sequence[Part], speed_rpm: float) -> list[str]:
-    sentences = []
+def _of_pairs(pairs: Sequence[Part], speed_rpm: float) -> Iterator[str]:
     for pair in pairs:
         if pair["scenarios"] is None:
             continue
         literal, order = pair["scenarios"]["literal"], pair["order"]
         left, physical = (_amount(reading["residual_x_g_mm"], speed_rpm) for reading in pair["scenarios"].values())
         if order == 1:
-            sentences.append(f"The pair of order 1 as printed leaves {left}, less than its rounding can tell.")
+            yield f"The pair of order 1 as printed leaves {left}, less than its rounding can tell."
             continue
         sense = "too much" if literal["residual_x_g_mm"] < 0 else "too little"
-        sentences.append(
-            f"The pair of order {order} with the printed unbalance makes {literal['overbalance']:.3f} times "
-            f"the force needed, {left} {sense}; with that over {order**2} it leaves {physical}."
-        )
-    return sentences
+        makes = f"{literal['overbalance']:.3f} times the force needed, {left} {sense}"
+        as_force = f"with that over {order**2} it leaves {physical}"
+        yield f"The pair of order {order} with the printed unbalance makes {makes}; {as_force}."
 
 
-def _of_crankshaft(crankshaft: Part, speed_rpm: float) -> list[str]:
+def _of_crankshaft(crankshaft: Part, speed_rpm: float) -> Iterator[str]:
     def size(amount: Part) -> float:
         return abs(complex(amount["x"], amount["y"]))
 
@@ -291,19 +270,14 @@ def _of_crankshaft(crankshaft: Part, speed_rpm: float) -> list[str]:
     nearly = static < NEARLY_STATIC * max(size(plane["has_kg_mm"]) for plane in planes)
     state = "is in static balance within" if nearly else "has a static unbalance of"
     needs = [f"{plain_number(size(plane['correction_kg_mm']))} kg·mm in {plane['name']}" for plane in planes]
-    sentences = [
-        f"The crankshaft {state} {static * 1e3:.3g} g·mm; a rocking couple of {dynamic:.5g} kg·mm² "
-        f"({plain_number(crankshaft['couple_Nm_at_rpm'][key])} N·m at {key} rpm) turns with it, which corrections of "
-        f"{' and '.join(needs)} would end."
-    ]
+    couple = f"{dynamic:.5g} kg·mm² ({plain_number(crankshaft['couple_Nm_at_rpm'][key])} N·m at {key} rpm)"
+    turns = f"a rocking couple of {couple} turns with it, which corrections of {' and '.join(needs)} would end"
+    yield f"The crankshaft {state} {static * 1e3:.3g} g·mm; {turns}."
     if crankshaft["overbalance_kg_mm"] is not None:
         (least, most), by = crankshaft["overbalance_kg_mm"], crankshaft["overbalanced_by_kg_mm"]
-        sentences.append(
-            f"Its counterweights have {plain_number(abs(by))} kg·mm too {'much' if by >= 0 else 'little'}; "
-            f"{least:g} to {most:g} too much are wanted for the balancing machine: "
-            f"{'met' if crankshaft['overbalance_met'] else 'not met'}."
-        )
-    return sentences
+        over = f"{plain_number(abs(by))} kg·mm too {'much' if by >= 0 else 'little'}"
+        wanted = f"{least:g} to {most:g} too much are wanted for the balancing machine"
+        yield f"Its counterweights have {over}; {wanted}: {'met' if crankshaft['overbalance_met'] else 'not met'}."
 
 
 def single_causes(sheet: Part) -> Iterator[tuple[str, str, str, float, str | None]]:
@@ -331,54 +305,50 @@ def single_causes(sheet: Part) -> Iterator[tuple[str, str, str, float, str | Non
             yield f"direct and reverse cranks, {text}", "along", "all", cranks["residual_x_g_mm"][series], None
 
 
-def _of_single_causes(sheet: Part, speed_rpm: float) -> list[str]:
+def _of_single_causes(sheet: Part, speed_rpm: float) -> Iterator[str]:
     """A sentence for each single cause with all that it leaves."""
     left: dict[str, list[str]] = {}
     for cause, axis, order, amount, grade in single_causes(sheet):
         which = "of all orders" if order == "all" else f"of order {order}"
         kept = "" if grade is None else f" (class: {grade})"
         left.setdefault(cause, []).append(f"{_amount(amount, speed_rpm)} {which} {axis} the cylinder{kept}")
-    return [_capital(f"{cause}: {listed(amounts)}.") for cause, amounts in left.items()]
+    yield from (f"{cause}: {listed(amounts)}." for cause, amounts in left.items())
 
 
-def _of_offset(offset: Part, speed_rpm: float) -> list[str]:
-    couple = offset["couple_Nm_at_rpm"][speed_key(speed_rpm)]
-    return [
-        f"The shafts of an offset cylinder balance its order 1 if re-phased by {abs(offset['rephasing_deg']):.2f}°, "
-        f"but not the couples of {couple['1']:.3g} and {couple['2']:.3g} N·m of orders 1 and 2."
-    ]
+def _of_offset(offset: Part, speed_rpm: float) -> Iterator[str]:
+    first, second = (f"{offset['couple_Nm_at_rpm'][speed_key(speed_rpm)][order]:.3g}" for order in "12")
+    rephased = f"balance its order 1 if re-phased by {abs(offset['rephasing_deg']):.2f}°"
+    couples = f"the couples of {first} and {second} N·m of orders 1 and 2"
+    yield f"The shafts of an offset cylinder {rephased}, but not {couples}."
 
 
-def _of_reverse_cranks(cranks: Part, speed_rpm: float) -> list[str]:
-    sentences = ["Direct and reverse cranks leave nothing across the cylinder at any angle."]
+def _of_reverse_cranks(cranks: Part, speed_rpm: float) -> Iterator[str]:
+    yield "Direct and reverse cranks leave nothing across the cylinder at any angle."
     if cranks["couple_g_mm2"] > 0:
-        couple = _newton_metres(cranks["couple_g_mm2"], speed_rpm)
-        at = f"{speed_key(speed_rpm)} rpm"
-        sentences.append(f"Their wheels stand unevenly and leave a couple of {couple} N·m at {at}.")
+        couple = f"{_newton(cranks['couple_g_mm2'], speed_rpm, 'N·m')} at {speed_key(speed_rpm)} rpm"
+        yield f"Their wheels stand unevenly and leave a couple of {couple}."
     errors = cranks["tolerances"]
     if errors is not None:
         along, across = (_amount(errors[key]["1"]["95 %"], speed_rpm) for key in ("along_g_mm", "across_g_mm"))
         left = f"less than {along} of order 1 along the cylinder and {across} across it"
-        sentences.append(f"Of sampled gear trains 95 % leave {left}.")
-    return sentences
+        yield f"Of sampled gear trains 95 % leave {left}."
 
 
 def hinge_sentences(sheet: Part) -> list[str]:
     """Sentences on the side force of each mechanism of a hinge ``sheet`` without a hinge and with one."""
     sentences = []
     for mechanism in sheet["mechanisms"]:
-        without = mechanism["side_force_without_hinge_n"]
-        speed = max(without, key=float)
+        speed, without = max(mechanism["side_force_without_hinge_n"].items(), key=lambda item: float(item[0]))
         left, printed = (mechanism["side_force_n"][kind] for kind in ("potential", "printed"))
-        sentences.append(
-            f"{mechanism['name']}: without a hinge the piston is pressed against its wall with up to "
-            f"{without[speed]:.4g} N at {float(speed):.4g} rpm; a hinge that can be a spring leaves {left:.4g} N at "
-            f"every speed (one after equation (6), whose work is not zero, {printed:.4g} N)."
-        )
+        pressed = f"the piston is pressed against its wall with up to {without:.4g} N at {float(speed):.4g} rpm"
+        spring = f"a hinge that can be a spring leaves {left:.4g} N at every speed"
+        other = f"(one after equation (6), whose work is not zero, {printed:.4g} N)"
+        sentences.append(f"{mechanism['name']}: without a hinge {pressed}; {spring} {other}.")
     return sentences
 
 
-_OF_PARTS: dict[str, Callable[[Any, float], list[str]]] = {
+_OF_PARTS: dict[str, Callable[[Any, float], Iterable[str]]] = {
+    "plain": _of_plain,
     "cycle": _of_cycle,
     "strategies": _of_strategies,
     "shafts": _of_shafts,

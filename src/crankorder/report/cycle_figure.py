@@ -6,8 +6,7 @@ A shape is a phasor for every order and channel, with its numbers.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -171,20 +170,15 @@ _NO_PHASE = 90.0  # half an interval of phase from which a direction says nothin
 _SHORT = {"tdc": "TDC", "index": "index", "pulse": "pulse"}
 
 
-@dataclass(frozen=True)
-class _Cell:
-    """One order of one channel at the speed shown."""
+class _Cell(NamedTuple):
+    """One order of one channel at the speed shown; ``clear``: told from nothing."""
 
     amplitude: float
     low: float
     high: float
-    phase_deg: float
-    half_phase_deg: float
-
-    @property
-    def clear(self) -> bool:
-        """Whether amplitude and phase are told from nothing (an unknown interval counts as clear)."""
-        return self.amplitude > 0.0 and not self.low <= 0.0 and not self.half_phase_deg >= _NO_PHASE
+    phase: float
+    half_phase: float
+    clear: bool
 
 
 def shapes_figure(shapes: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
@@ -195,7 +189,7 @@ def shapes_figure(shapes: xr.Dataset, findings: Findings, *, settings: ReportSet
     the 95 % interval. ``shapes`` are OperatingShapes (channel, speed, order), ``findings`` those of the same test,
     ``settings`` those of the report.
     """
-    at_speed = shapes.isel(speed=_loudest_speed(shapes))
+    at_speed = _with_ends(shapes.isel(speed=_loudest_speed(shapes)))
     orders, channels = _strongest_orders(at_speed), range(at_speed.sizes["channel"])
     blocks = [channels[first : first + _CHANNELS] for first in range(0, len(channels), _CHANNELS)]
     cell_width = min((settings.width_in - _NAMES_IN - _EDGE_IN) / min(max(len(channels), 1), _CHANNELS), 3.3)
@@ -216,19 +210,28 @@ def shapes_figure(shapes: xr.Dataset, findings: Findings, *, settings: ReportSet
             for left, channel in zip(lefts, block, strict=True):
                 alike = of_order.amplitude.values[of_order.unit.values == of_order.unit.values[channel]]
                 longest = float(np.nan_to_num(alike).max(initial=0.0))
-                _draw_cell(drawing, _cell(of_order.isel(channel=channel)), longest, (left, middle, cell_width))
+                cell = _Cell(*(of_order[name].values[channel].item() for name in _Cell._fields))
+                _draw_cell(drawing, cell, longest, (left, middle, cell_width))
     what = "operating shapes" + (f" at {at_speed.speed:.0f} rpm" if math.isfinite(at_speed.speed) else "")
     subtitle = _shapes_subtitle(shapes, len(orders))
     head_of_test(drawing, 0.25, findings, what, subtitle, longest=settings.max_name_characters)
     return drawing
 
 
+def _with_ends(shapes: xr.Dataset) -> xr.Dataset:
+    """``shapes`` with the ends of their intervals, and whether amplitude and phase are told from nothing.
+
+    An unknown interval counts as clear.
+    """
+    (low, high), (first, last) = (shapes[name].transpose("bound", ...) for name in ("amplitude_ci95", "phase_ci95"))
+    half = 0.5 * (last - first)
+    clear = (shapes.amplitude > 0.0) & ~(low <= 0.0) & ~(half >= _NO_PHASE)
+    return shapes.assign(low=low, high=high, half_phase=half, clear=clear)
+
+
 def _strongest_orders(at_speed: xr.Dataset) -> list[int]:
     """Numbers of the orders that stand clear, the largest relative to their channel, in ascending order."""
-    amplitude = np.nan_to_num(at_speed.amplitude.transpose("channel", "order").values)
-    low = at_speed.amplitude_ci95.transpose("channel", "order", "bound").values[..., 0]
-    swing = np.ptp(at_speed.phase_ci95.transpose("channel", "order", "bound").values, axis=-1)
-    clear = np.where((low <= 0.0) | (swing >= 2.0 * _NO_PHASE), 0.0, amplitude)
+    clear = at_speed.amplitude.where(at_speed.clear, 0.0).transpose("channel", "order").values
     largest = clear.max(axis=1, initial=0.0)
     share = (clear / np.where(largest > 0.0, largest, 1.0)[:, None]).max(axis=0, initial=0.0)
     kept = [int(place) for place in np.argsort(-share, kind="stable") if share[place] > 0.0][:_ORDERS]
@@ -294,12 +297,6 @@ def _name_order(drawing: Drawing, order: xr.Dataset, middle: float, *, mixed: bo
         drawing.add(Words(0.25, middle - 0.12, text, SMALL, FAINT))
 
 
-def _cell(at_speed: xr.Dataset) -> _Cell:
-    low, high = (float(value) for value in at_speed.amplitude_ci95.values)
-    first, last = (float(value) for value in at_speed.phase_ci95.values)
-    return _Cell(float(at_speed.amplitude), low, high, float(at_speed.phase), 0.5 * (last - first))
-
-
 def _draw_cell(drawing: Drawing, cell: _Cell, longest: float, place: tuple[float, float, float]) -> None:
     """Phasor and numbers of one cell; ``place`` its left, the height of its middle, and its width, in inches."""
     left, middle, width = place
@@ -327,12 +324,12 @@ def _draw_hand(drawing: Drawing, cell: _Cell, centre: Floats, scale: float, radi
         turn = np.radians(degrees)
         return np.asarray(centre + length * np.column_stack([np.cos(turn), np.sin(turn)]))
 
-    if math.isfinite(cell.half_phase_deg) and math.isfinite(cell.high):
-        half, outer = min(max(cell.half_phase_deg, 0.5), 179.9), min(cell.high * scale, 1.12 * radius)
-        angles = cell.phase_deg + np.linspace(-half, half, 60)
+    if math.isfinite(cell.half_phase) and math.isfinite(cell.high):
+        half, outer = min(max(cell.half_phase, 0.5), 179.9), min(cell.high * scale, 1.12 * radius)
+        angles = cell.phase + np.linspace(-half, half, 60)
         inner = min(max(cell.low * scale, 0.0), outer - 0.01)
         drawing.add(Area(np.concatenate([arc(outer, angles), arc(inner, angles[::-1])]), color, 0.25))
-    end = arc(cell.amplitude * scale, np.array([cell.phase_deg]))
+    end = arc(cell.amplitude * scale, np.array([cell.phase]))
     drawing.add(Stroke(np.concatenate([centre[None], end]), color, 1.8, name="hand"))
     drawing.add(Rings(end, 1.6, color))
 
@@ -344,10 +341,10 @@ def _numbers(cell: _Cell, *, with_intervals: bool) -> tuple[str, str]:
     amplitude = number_text(cell.amplitude)
     if not cell.clear:
         return (f"< {number_text(cell.high, digits=2)}" if math.isfinite(cell.high) else "–"), "–"
-    phase = f"{(cell.phase_deg + 180.0) % 360.0 - 180.0:.0f}°".replace("-", "−").replace("−0°", "0°")
+    phase = f"{(cell.phase + 180.0) % 360.0 - 180.0:.0f}°".replace("-", "−").replace("−0°", "0°")
     if with_intervals and math.isfinite(cell.high):
         amplitude = _with_interval(cell.amplitude, max(cell.high - cell.amplitude, cell.amplitude - cell.low))
-        half = cell.half_phase_deg
+        half = cell.half_phase
         phase += f" ± {half:.0f}°" if half >= 9.95 else f" ± {half:.1f}°" if half >= 0.05 else ""
     return amplitude, phase
 
