@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from scipy.special import ndtri
@@ -194,32 +194,33 @@ def _cost(
     # how many times what it is without the mode: by the fit, unless the amplitudes stand higher over their trend
     trends = [excess for excess in crossing.trends if excess.channel == channel]
     times = trend = min(trends, key=lambda excess: excess.chance, default=None)
-    seen: dict[str, Any] = {"amplitude": None, "amplification": None}
-    if (peak := peaks.get(channel)) is not None:
-        seen |= {"amplitude": peak.amplitude, "amplitude_ci95": peak.ends, "by_fit": peak.by_fit}
-        by_fit = None if peak.response is None else fitted_excess(peak.response, modal.modes.index(mode), modal)
+    peak = peaks.get(channel)
+    if peak is not None and peak.response is not None:
+        by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
         times = trend if by_fit is None else by_fit if trend is None else higher(by_fit, [trend])
-        seen["at_least"] = peak.response is None
     # less than that makes no speed one to avoid
-    if times is not None and times.ratio is not None and times.ratio >= CROSSINGS.clearly_excited_ratio:
-        seen |= {"amplification": times.ratio, "amplification_ci95": (times.ratio_low, times.ratio_high)}
+    if times is not None and not (times.ratio or 0.0) >= CROSSINGS.clearly_excited_ratio:
+        times = None
     of_whirl = "" if crossing.whirl is None else f" of a whirl that moves by {crossing.whirl.slope:.3g} orders"
     undecided = ", which may be a natural frequency" if mode.undecided else ""
-    return _to_avoid(
-        finding.order,
-        finding.mode_hz,
+    return AvoidedSpeed(
+        rank=1,
+        order=finding.order,
+        orders=(finding.order,),
+        mode_hz=finding.mode_hz,
+        modes_hz=(finding.mode_hz,),
         rpm=finding.rpm,
         rpm_range=rpm_range,
         channel=channel,
+        amplitude=None if peak is None else peak.amplitude,
+        amplitude_ci95=None if peak is None else peak.ends,
+        by_fit=peak is not None and peak.by_fit,
+        at_least=peak is not None and peak.response is None,
+        amplification=None if times is None else times.ratio,
+        amplification_ci95=None if times is None else (times.ratio_low, times.ratio_high),
         cost=shares.get(channel, 0.0),
         reason=f"order {finding.order:.4g} meets {finding.mode_hz:.4g} Hz{of_whirl}{undecided}",
-        **seen,
     )
-
-
-def _to_avoid(order: float, mode_hz: float, **seen: Any) -> AvoidedSpeed:
-    """Record, not ranked yet, of where an ``order`` alone meets ``mode_hz`` and of what was ``seen`` there."""
-    return AvoidedSpeed(rank=1, order=order, orders=(order,), mode_hz=mode_hz, modes_hz=(mode_hz,), **seen)
 
 
 def _peaks(
@@ -459,9 +460,12 @@ def lone_peaks(
             near = [mode.frequency_hz for mode in modal.modes if below < 60.0 * mode.frequency_hz / order < above]
             mode_hz = min(near, key=lambda mode_hz: abs(mode_hz - hz), default=hz)
             where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
-            peak = _to_avoid(
-                order,
-                mode_hz,
+            peak = AvoidedSpeed(
+                rank=1,
+                order=order,
+                orders=(order,),
+                mode_hz=mode_hz,
+                modes_hz=(mode_hz,),
                 rpm=rpm,
                 rpm_range=(min(0.5 * (below + rpm), rpm - late), max(0.5 * (rpm + above), rpm + late)),
                 channel=channel,
