@@ -88,59 +88,47 @@ class SignalFault:
         return self.is_lost and not len(self.at)
 
 
-@dataclass(frozen=True, slots=True)
-class _Range:
-    """Least and greatest number among the samples, how many equal the one before them, and whether any is NaN."""
-
-    low: float
-    high: float
-    n_still: int
-    has_nan: bool
-
-
 def mend_signal(signal: FloatArray, *, settings: IngestSettings) -> list[SignalFault]:
     """Faults of ``signal`` (samples,), whose missing samples are bridged in place where they are few in a row.
 
     Samples of a longer gap become NaN. ``settings`` say how many missing samples are few and what counts as clipping.
     The whole signal is lost where more samples would be bridged than the spectrum bears, or too many are missing.
     """
-    known = _range_of(signal)
+    low, high, n_still, has_nan = _range_of(signal)
     flags: list[SignalFault] = []
-    finite = not known.has_nan and known.low > -_FILL_ABOVE and known.high < _FILL_ABOVE
-    if not finite or known.low in _SENTINELS or known.high in _SENTINELS:
+    if has_nan or min(low, -high) <= -_FILL_ABOVE or low in _SENTINELS or high in _SENTINELS:
         missing = _runs(signal, _missing(signal))
         if len(missing):
             flags += _without(signal, missing, settings)
             if any(fault.is_lost for fault in flags):
                 return flags
-            known = _range_of(signal)
-    if known.low == known.high:
-        return [*flags, SignalFault("constant_signal", "bad", f"all samples equal {known.low:.6g}", is_lost=True)]
+            low, high, n_still, _ = _range_of(signal)
+    if low == high:
+        return [*flags, SignalFault("constant_signal", "bad", f"all samples equal {low:.6g}", is_lost=True)]
     # each fault needs so many samples that stand still: most signals have too few for any, and are done
-    if 2 * known.n_still > signal.size and (levels := _few_levels(signal, settings)):
+    if 2 * n_still > signal.size and (levels := _few_levels(signal, settings)):
         shown = ", ".join(f"{level:.4g}" for level in levels)
         detail = f"takes the values {shown} alone: a switch, or a signal smaller than the steps of its converter"
         return [*flags, SignalFault("few_levels", "bad", detail, is_lost=True)]
-    if known.n_still >= 2 * (settings.clip_run_samples - 1):
-        flags += _clipping(signal, known.low, known.high, settings)
-    if known.n_still >= settings.dropout_samples - 1:
+    if n_still >= 2 * (settings.clip_run_samples - 1):
+        flags += _clipping(signal, low, high, settings)
+    if n_still >= settings.dropout_samples - 1:
         flags += _dropout(signal, settings)
     return flags
 
 
-def _range_of(signal: FloatArray) -> _Range:
+def _range_of(signal: FloatArray) -> tuple[float, float, int, bool]:
+    """Least and greatest number among the samples, how many equal the one before them, and whether any is NaN."""
     lows, highs, n_still, has_nan, last = [], [], 0, False, np.nan
     for part in blocks(signal.size):
         piece = signal[part]
         low = piece.min()
-        if low != low:
-            has_nan = True
-            low = np.fmin.reduce(piece)
-        lows.append(low)
+        has_nan |= bool(np.isnan(low))
+        lows.append(np.fmin.reduce(piece) if has_nan else low)
         highs.append(np.fmax.reduce(piece) if has_nan else piece.max())
         n_still += int(np.count_nonzero(piece[1:] == piece[:-1])) + int(piece[0] == last)
         last = piece[-1]
-    return _Range(float(np.fmin.reduce(lows)), float(np.fmax.reduce(highs)), n_still, has_nan)
+    return float(np.fmin.reduce(lows)), float(np.fmax.reduce(highs)), n_still, has_nan
 
 
 def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> Ints:
@@ -288,20 +276,14 @@ def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSetti
 
 def _rounding_step(signal: FloatArray) -> float:
     """Least change from one sample to the next."""
-    step = np.inf
-    for part in blocks(signal.size - 1):
-        steps = np.abs(np.diff(signal[part.start : part.stop + 1]))
-        step = min(step, float(steps.min(where=steps > 0, initial=np.inf)))
-    return step
+    changes = (np.abs(np.diff(signal[part.start : part.stop + 1])) for part in blocks(signal.size - 1))
+    return min((float(steps.min(where=steps > 0, initial=np.inf)) for steps in changes), default=np.inf)
 
 
 def _just_inside(signal: FloatArray, extreme: float, step: float) -> int:
     """Samples within three rounding steps of the extreme: more than at it, unless the signal was cut off there."""
-    count = 0
-    for part in blocks(signal.size):
-        apart = np.abs(signal[part] - extreme)
-        count += int(np.count_nonzero((apart > 0.0) & (apart < 3.5 * step)))
-    return count
+    apart = (np.abs(signal[part] - extreme) for part in blocks(signal.size))
+    return sum(int(np.count_nonzero((off > 0.0) & (off < 3.5 * step))) for off in apart)
 
 
 def _is_cut_off(signal: FloatArray, extreme: float, flat: Ints, step: float) -> Bools:
@@ -341,8 +323,7 @@ def block_size(rate_hz: float) -> int:
     """
     if not (math.isfinite(rate_hz) and rate_hz > 0.0):
         return 16
-    wanted = 1 << math.floor(math.log2(max(rate_hz / _BLOCKS_PER_S, 1.0)))
-    return min(max(wanted, _LEAST_BLOCK), _MOST_BLOCK)
+    return int(2 ** math.floor(math.log2(min(max(rate_hz / _BLOCKS_PER_S, _LEAST_BLOCK), _MOST_BLOCK))))
 
 
 def survey(signal: FloatArray, *, size: int) -> Survey:
@@ -387,9 +368,6 @@ def _look(signal, size, told):  # type: ignore[no-untyped-def]
 
 def root_mean_square(survey: Survey) -> float:
     """Root mean square of the signal of ``survey``, in its unit; NaN where too much is missing."""
-    square = float(survey.means.var()) + float(survey.variances.mean())
-    if math.isfinite(square):
-        return math.sqrt(square)
     known = np.isfinite(survey.means)
     if not known.any():
         return math.nan
@@ -445,8 +423,7 @@ def _overload(
     means: Floats, free: np.ndarray, vibration: float, step: int, n_samples: int, settings: IngestSettings
 ) -> SignalFault | None:
     """The largest jump to a rail that decays to where it came from, if there is one where ``free``."""
-    before = float(np.median(means[free]))
-    apart = np.where(free, means - before, 0.0)
+    apart = np.where(free, means - np.median(means[free]), 0.0)
     top = int(np.argmax(np.abs(apart)))
     size = float(apart[top])
     if abs(size) < settings.overload_ratio * vibration:
@@ -457,8 +434,7 @@ def _overload(
         jump -= 1
     if jump < _RISE:
         return None
-    ahead = apart[:jump][free[:jump]][-16:]
-    rest = float(np.median(ahead))
+    rest = float(np.median(apart[:jump][free[:jump]][-16:]))
     if abs(apart[max(jump - _RISE, 0)] - rest) > 0.2 * abs(size) or abs(rest) > 0.3 * abs(size):
         return None
     apart = apart - rest
@@ -505,10 +481,8 @@ def _level_outside(apart: Floats, free: Bools, event: tuple[int, int], size: flo
 
 def _settling(means: Floats, vibration: float, step: int, settings: IngestSettings) -> SignalFault | None:
     """A decay from the first sample on to where the signal then stays."""
-    later = means[2 * len(means) // 3 :]
-    rest = float(np.median(later))
-    noise = 1.5 * float(np.median(np.abs(later - rest)))
-    offsets = means - rest
+    offsets = means - np.median(means[2 * len(means) // 3 :])
+    noise = 1.5 * float(np.median(np.abs(offsets[2 * len(means) // 3 :])))
     size, constant, told = _decay(offsets)
     is_settling = told > settings.decay_share and constant < 0.2 * len(means) and abs(size) > 6.0 * noise
     if not is_settling or abs(size) < settings.drift_ratio * vibration:
@@ -522,8 +496,7 @@ def _drift(means: Floats, free: np.ndarray, vibration: float, settings: IngestSe
     """A slow trend larger than the vibration, in most of what is ``free``."""
     if np.count_nonzero(free) < _FEWEST // 2:
         return None
-    place = np.linspace(-1.0, 1.0, len(means))[free]
-    values = means[free]
+    place, values = np.linspace(-1.0, 1.0, len(means))[free], means[free]
     trend = np.polynomial.Polynomial.fit(place, values, 3)(place)
     told = 1.0 - float(np.var(values - trend)) / max(float(np.var(values)), 1e-300)
     size = float(np.ptp(trend))
