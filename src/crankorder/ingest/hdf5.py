@@ -29,7 +29,7 @@ from crankorder.ingest.rawfile import (
     rows_for,
     starts_by_date,
 )
-from crankorder.quantities import Floats, QualityFlag
+from crankorder.quantities import Floats
 from crankorder.scratch import blocks, is_on_disk
 from crankorder.settings import IngestSettings
 
@@ -50,19 +50,12 @@ def _plain(name: str) -> str:
     return re.sub("[^a-z0-9]", "", name.lower())
 
 
-_RATES = tuple(
-    _plain(name)
-    for name in (
-        "rate_hz", "sample_rate_hz", "sample_rate", "sampling_rate", "sampling_rate_hz", "sampling_frequency",
-        "sampling_frequency_hz", "sample_frequency", "sample_freq", "samp_freq", "fs", "fs_hz",
-    )
+# plain names of attributes
+_RATES = (
+    "ratehz", "sampleratehz", "samplerate", "samplingrate", "samplingratehz", "samplingfrequency",
+    "samplingfrequencyhz", "samplefrequency", "samplefreq", "sampfreq", "fs", "fshz",
 )  # fmt: skip
-_STEPS = tuple(
-    _plain(name)
-    for name in (
-        "wf_increment", "dt", "dt_s", "delta_t", "increment_s", "time_step", "sample_interval", "sampling_interval",
-    )
-)  # fmt: skip
+_STEPS = ("wfincrement", "dt", "dts", "deltat", "increments", "timestep", "sampleinterval", "samplinginterval")
 _SPEEDS = ("speedrpm", "rpm", "shaftspeedrpm", "nominalrpm", "enginespeedrpm")
 _UNITS = ("units", "unit", "unitstring")
 _STARTS = ("starts", "wfstartoffset")
@@ -98,7 +91,17 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
         names = names_of(sources, list(columns), path)
         wanted = {name: columns[name] for name in names.values()} or columns
         used = {column.dataset: column.opened for column in wanted.values()}
-        stated, attributes, undated = _stated(file, wanted, used, path)
+        for dataset in used.values():
+            _check_dataset(dataset)
+        attributes = _Attributes(file, used)
+        starts, undated = starts_by_date(*attributes.starts({name: at.dataset for name, at in wanted.items()}), path)
+        described = {
+            name: Described(
+                at.n_samples, attributes.text(at.dataset, _UNITS), attributes.rate_hz(at.dataset), starts.get(name)
+            )
+            for name, at in wanted.items()
+        }
+        stated = Contents.of("HDF5", described)
         if not names:
             speeds = (attributes.number(dataset, _SPEEDS) for dataset in used)
             return replace(stated, speed_rpm=next((rpm for rpm in speeds if rpm), None)).with_columns({}, ())
@@ -108,26 +111,6 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
         doubts = [attributes.doubts(at.dataset, stated.rates_hz.get(name), others) for name, at in wanted.items()]
         flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
         return stated.with_columns(names, values, flags=flags + undated)
-
-
-def _stated(
-    file: Any, columns: Mapping[str, _Column], opened: Mapping[str, Any], path: Path
-) -> tuple[Contents, _Attributes, list[QualityFlag]]:
-    """What the attributes of ``file`` say of ``columns``, these attributes, and flags of unset clocks.
-
-    ``opened`` are the datasets of the columns by place, which are checked first.
-    """
-    for dataset in opened.values():
-        _check_dataset(dataset)
-    attributes = _Attributes(file, opened)
-    starts, undated = starts_by_date(*attributes.starts({name: at.dataset for name, at in columns.items()}), path)
-    described = {
-        name: Described(
-            at.n_samples, attributes.text(at.dataset, _UNITS), attributes.rate_hz(at.dataset), starts.get(name)
-        )
-        for name, at in columns.items()
-    }
-    return Contents.of("HDF5", described), attributes, undated
 
 
 @contextmanager
@@ -174,11 +157,8 @@ def _columns_of(file: Any, settings: IngestSettings) -> dict[str, _Column]:
                 raise UnsafeInputError(f"holds more than {settings.max_objects} objects")
             link = group.id.links.get_info(key.encode("utf-8", "surrogateescape")).type
             if link == h5py.h5l.TYPE_EXTERNAL:
-                raise UnsafeInputError(
-                    "links to another file, which is never followed",
-                    place=f"{group.name.rstrip('/')}/{key}",
-                    remedy="Write the samples into the file itself",
-                )
+                place, remedy = f"{group.name.rstrip('/')}/{key}", "Write the samples into the file itself"
+                raise UnsafeInputError("links to another file, which is never followed", place=place, remedy=remedy)
             if link != h5py.h5l.TYPE_HARD:
                 continue
             child = group[key]
@@ -211,8 +191,7 @@ def _check_dataset(dataset: Any) -> None:
         own = "keeps its samples in another file, which is never opened"
         problem = own if create.get_external_count() else "is put together from other files, which are never opened"
         raise UnsafeInputError(problem, place=place, remedy="Write them into the file itself")
-    for number in range(create.get_nfilters()):
-        code = create.get_filter(number)[0]
+    for code in (create.get_filter(number)[0] for number in range(create.get_nfilters())):
         if code not in _FILTERS:
             problem, allowed = f"needs filter {code}, which is not built in", ", ".join(_FILTERS.values())
             remedy = "Save the file again with gzip or without compression"
@@ -245,15 +224,13 @@ def _read_columns(
         try:
             _read_into([(column.index, row) for column, row in asked], dataset, first)
         except _H5PY_ERRORS as error:
-            raise InputError(
+            problem, found = (
                 "damaged: the checksum or the compression of the samples is wrong",
-                place=dataset.name,
-                found=str(error).split("\n")[0],
-                remedy="Copy the file again",
-            ) from None
+                str(error).split("\n")[0],
+            )
+            raise InputError(problem, place=dataset.name, found=found, remedy="Copy the file again") from None
         for column, row in asked:
-            n_columns = 1 if column.index is None else min(dataset.shape)
-            _unpack(row, name, column.index or 0, n_columns, attributes)
+            _unpack(row, column, attributes)
     return room
 
 
@@ -279,14 +256,14 @@ def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any, first: i
             row[part] = piece if index is None else piece[:, index] if axis == 0 else piece[index]
 
 
-def _unpack(row: FloatArray, place: str, index: int, n_columns: int, attributes: _Attributes) -> None:
-    """Undo the packing conventions of NetCDF: fill value, scale and offset of one of the columns of a dataset."""
-    fill = attributes.number(place, _FILLS, inherited=False)
+def _unpack(row: FloatArray, column: _Column, attributes: _Attributes) -> None:
+    """Undo the packing conventions of NetCDF in the ``row`` of a ``column``: fill value, scale and offset."""
+    fill = attributes.number(column.dataset, _FILLS, inherited=False)
     if fill is not None:
         for part in blocks(row.size):
             row[part][row[part] == row.dtype.type(fill)] = np.nan
     for name, applied in ((_SCALE, np.multiply), (_OFFSET, np.add)):
-        if (number := attributes.packing(place, name, index, n_columns)) is not None:
+        if (number := attributes.packing(column, name)) is not None:
             applied(row, number, out=row)
 
 
@@ -310,21 +287,21 @@ class _Attributes:
             raise InputError("the sampling rate must be above 0", place=place, found=value)
         return value
 
-    def packing(self, place: str, name: str, index: int, n_columns: int) -> float | None:
-        """The number that the attribute ``name`` at ``place`` states for column ``index``, None without it.
+    def packing(self, column: _Column, name: str) -> float | None:
+        """The number that the attribute ``name`` of a dataset states for its ``column``, None without it.
 
         It may be written as text, or one for each column. Raises InputError where it is neither: the scale of the
         samples is then not known.
         """
-        if name not in self._at(place):
+        if name not in self._at(column.dataset):
             return None
-        own, value = self._at(place)[name]
-        numbers = _numbers_in(value)
+        own, value = self._at(column.dataset)[name]
+        numbers, n_columns = _numbers_in(value), 1 if column.index is None else min(column.opened.shape)
         if numbers.size in (1, n_columns) and np.isfinite(numbers).all():
-            return float(numbers[index if numbers.size > 1 else 0])
+            return float(numbers[column.index or 0 if numbers.size > 1 else 0])
         problem, found = f"its {own} is not a number", printable(repr(value), 60)
         remedy = "Mend the attribute, or export the samples as floats in their unit"
-        raise InputError(problem, place=place, found=found, remedy=remedy)
+        raise InputError(problem, place=column.dataset, found=found, remedy=remedy)
 
     def doubts(self, place: str, rate_hz: float | None, others_hz: Collection[float]) -> Iterator[tuple[str, str]]:
         """Flags and details of what the attributes about ``place``, whose rate is ``rate_hz``, contradict or hide.
@@ -338,10 +315,8 @@ class _Attributes:
         for above in _above(place):
             for name, other in self._rates_at(above).items():
                 if rate_hz and other not in others_hz and abs(other - rate_hz) > _SAME_RATE * rate_hz:
-                    yield (
-                        "header_rate_disagrees",
-                        f"{place} states {rate_hz:.9g} Hz, {name} of {above} {other:.9g} Hz; the first is taken",
-                    )
+                    detail = f"{place} states {rate_hz:.9g} Hz, {name} of {above} {other:.9g} Hz; the first is taken"
+                    yield "header_rate_disagrees", detail
 
     def number(self, place: str, names: Sequence[str], *, inherited: bool = True) -> float | None:
         """First of the attributes ``names`` that is one number, at ``place``, else of its group, else of the file."""
@@ -360,16 +335,14 @@ class _Attributes:
         for key, place in places.items():
             with suppress(ValueError):
                 dates[key] = np.datetime64(self.text(place, _DATES).strip().rstrip("Z"), "ns")
-        stated = {
-            key: (self.number(at, _STARTS), self.number(at, _CLOCKS, inherited=False)) for key, at in places.items()
-        }
+        clocks = {key: self.number(at, _CLOCKS, inherited=False) for key, at in places.items()}
         # a clock may count from anywhere, unlike a list of pulse times beside them
-        first_s = min((clock for _, clock in stated.values() if clock is not None), default=0.0)
-        times = {
-            key: (start or 0.0) + (first_s if clock is None else clock) - first_s
-            for key, (start, clock) in stated.items()
-            if start is not None or clock is not None
-        }
+        first_s = min((clock for clock in clocks.values() if clock is not None), default=0.0)
+        times: dict[Any, float] = {}
+        for key, place in places.items():
+            start, clock = self.number(place, _STARTS), clocks[key]
+            if start is not None or clock is not None:
+                times[key] = (start or 0.0) + (first_s if clock is None else clock) - first_s
         return {key: date for key, date in dates.items() if not np.isnat(date)}, times
 
     def _rates_at(self, place: str) -> dict[str, float]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import mmap
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,9 +94,8 @@ class _Layout:
         mine = [other for other in self.columns.values() if other.is_time and other.segment is column.segment]
         if column.segment.said("X_Dimension", column.place) not in ("Time", ""):
             return None
-        return max(
-            (other for other in mine if other.place <= column.place), key=lambda other: other.place, default=None
-        )
+        before = [other for other in mine if other.place <= column.place]
+        return max(before, key=lambda other: other.place, default=None)
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
@@ -110,27 +109,20 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     check_budget(path.stat().st_size, settings)
     layout = _layout(path)
     names = names_of(sources, tuple(layout.columns), path)
-    if not names:
-
-        def first_times(time: _Column) -> FloatArray:
-            return _read(path, layout, time.segment, [time.place], settings, most=_FEW_LINES)[0]
-
-        return _timing(layout, layout.columns, first_times, path, settings)[0].with_columns({}, ())
-    wanted = {name: layout.columns[name] for name in names.values()}
+    wanted = {name: layout.columns[name] for name in names.values()} or layout.columns
     times = [time for column in wanted.values() if (time := layout.times_of(column)) is not None]
+    asked = [*wanted.values(), *times] if names else times
     read: dict[tuple[int, int], FloatArray] = {}
-    for segment in {column.segment.begin: column.segment for column in wanted.values()}.values():
-        places = sorted({column.place for column in (*wanted.values(), *times) if column.segment is segment})
-        rows = _read(path, layout, segment, places, settings)
+    for segment in {column.segment.begin: column.segment for column in asked}.values():
+        places = sorted({column.place for column in asked if column.segment is segment})
+        rows = _read(path, layout, segment, places, settings, most=segment.n_lines if names else _FEW_LINES)
         read |= {(segment.begin, place): row for place, row in zip(places, rows, strict=True)}
-
-    def values_of(column: _Column) -> FloatArray:
-        return read[column.segment.begin, column.place]
-
-    contents, attrs, flags = _timing(layout, wanted, values_of, path, settings)
+    contents, attrs, flags = _timing(layout, wanted, read, path, settings)
+    if not names:
+        return contents.with_columns({}, ())
     flags += last_line_flags(path)
     flags += [remark for column in wanted.values() if (remark := _missing(column, path)) is not None][:1]
-    columns = [values_of(wanted[name]) for name in names.values()]
+    columns = [read[wanted[name].segment.begin, wanted[name].place] for name in names.values()]
     return contents.with_columns(names, columns, attrs=attrs, flags=flags)
 
 
@@ -212,16 +204,10 @@ def _columns(segments: list[_Segment], *, with_times: bool) -> dict[str, _Column
 
 
 def _read(
-    path: Path,
-    layout: _Layout,
-    segment: _Segment,
-    places: list[int],
-    settings: IngestSettings,
-    *,
-    most: int | None = None,
+    path: Path, layout: _Layout, segment: _Segment, places: list[int], settings: IngestSettings, *, most: int
 ) -> list[FloatArray]:
-    """Values of the columns at ``places``, a piece at a time; empty cells at their ends are no samples."""
-    n_lines = segment.n_lines if most is None else min(most, segment.n_lines)
+    """Values of the columns at ``places`` in ``most`` lines, in pieces; empty cells at their ends are no samples."""
+    n_lines = min(most, segment.n_lines)
     rows = rows_for([(n_lines, np.float64)] * len(places), in_memory_bytes=settings.in_memory_bytes)
     done = 0
     try:
@@ -248,12 +234,12 @@ def _read(
 
 
 def _timing(
-    layout: _Layout, columns: Mapping[str, _Column], stamps: Callable[[_Column], FloatArray], path: Path,
+    layout: _Layout, columns: Mapping[str, _Column], read: Mapping[tuple[int, int], FloatArray], path: Path,
     settings: IngestSettings,
 ) -> tuple[Contents, dict[str, float], list[QualityFlag]]:  # fmt: skip
     """Units, rates and starts of ``columns`` by name, attributes of the file, flags.
 
-    ``stamps`` gives the values of a column of times, which is asked for once for all channels of one step.
+    ``read`` holds the values of their columns of times, by the first byte of the segment and the place in it.
     """
     kinds: dict[tuple[object, ...], tuple[float | None, dict[str, float], list[QualityFlag]]] = {}
     rates: dict[str, float] = {}
@@ -265,7 +251,7 @@ def _timing(
         first, own = segment.channel_from(begin), segment.channel_from(column.place)
         kind = (segment.begin, None if time is None else begin, segment.said("Delta_X", own))
         if kind not in kinds:
-            kinds[kind] = _rate(segment, own, None if time is None else stamps(time), path, settings)
+            kinds[kind] = _rate(segment, own, None if time is None else read[segment.begin, begin], path, settings)
         rate_hz, attrs, _ = kinds[kind]
         rates |= {} if rate_hz is None else {name: rate_hz}
         first_s, own_s = (_number(segment.said("X0", place)) or 0.0 for place in (first, own))
@@ -279,11 +265,7 @@ def _timing(
     described = {
         name: Described(None, column.unit, rates.get(name), starts.get(name)) for name, column in columns.items()
     }
-    return (
-        Contents.of("LVM", described, rate_uncertainty=attrs["rate_uncertainty"]),
-        attrs,
-        flags,
-    )
+    return Contents.of("LVM", described, rate_uncertainty=attrs["rate_uncertainty"]), attrs, flags
 
 
 def _rate(

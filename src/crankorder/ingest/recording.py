@@ -200,11 +200,9 @@ def _of_samples(manifest: Manifest) -> list[Source]:
 def _of_encoder(manifest: Manifest) -> list[Source]:
     """Sources of the encoder and its marks; of a file of its own its times too."""
     encoder = manifest.encoder
-    sources: list[Source | None] = []
+    sources = [encoder.source] if encoder.kind == "constant" else []
     if encoder.kind not in SOURCELESS_KINDS:
-        sources += [encoder.source, encoder.second_track, encoder.index, encoder.cam]
-    elif encoder.kind == "constant":
-        sources.append(encoder.source)
+        sources = [encoder.source, encoder.second_track, encoder.index, encoder.cam]
     if encoder.file is not None:
         sources.append(encoder.time_source)
     return list(dict.fromkeys(source for source in sources if source is not None))
@@ -301,8 +299,7 @@ class _File:
         if highpass_hz >= most_hz:
             problem = f"channel {channel.name}: the high-pass leaves nothing of {rate_hz:g} samples per second"
             place, allowed = f"channels.{number}.highpass_hz", f"below {most_hz:.4g}"
-            remedy = "Mend highpass_hz in the manifest"
-            found = f"{highpass_hz:g}"
+            found, remedy = f"{highpass_hz:g}", "Mend highpass_hz in the manifest"
             raise InputError(problem, file=self.path, place=place, found=found, allowed=allowed, remedy=remedy)
         integral = integrated(signal, rate_hz, times=scaling.integrals, highpass_hz=highpass_hz, half_octaves=octaves)
         signal[:] = integral * (scaling.unit.factor / channel.analysed_unit.factor)
@@ -331,9 +328,10 @@ def _with_signals(
         "quantity": [channel.measured_quantity for channel in manifest.channels],
         "direction": [channel.direction for channel in manifest.channels],
     }
-    for name, values in texts.items():
-        recording.add(name, "channel", np.array(values, dtype=np.str_), "1", name)
-    coords = {name: recording.variables.pop(name) for name in texts}
+    coords = {
+        name: xr.Variable("channel", np.array(values, dtype=np.str_), {"units": "1", "long_name": name})
+        for name, values in texts.items()
+    }
     for remark in flags:
         remark["recording"] = str(recording.attrs["recording"])
     return Recording(with_flags(xr.Dataset(recording.variables, coords, recording.attrs), flags))

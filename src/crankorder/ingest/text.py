@@ -36,7 +36,8 @@ _RATE = re.compile(
     r"\b(?:sample_?freq|sampling_frequency|sample_?rate|sampling_?rate|rate_hz|fs)(?:_hz)?[\"']?\s*[:=]\s*([0-9.eE+]{1,20})\s*(k?Hz)?",
     re.IGNORECASE,
 )
-_SEPARATORS = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "blank"}
+_SEPARATORS = "\t;, "
+_MEND_CELL = "Mend the cell, or leave the recording out"
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +156,7 @@ def _rate_in(comments: str) -> float | None:
         rate_hz = float(match[1]) if match else 0.0
     except ValueError:
         return None
-    if match and match[2] and match[2].lower() == "khz":
-        rate_hz *= 1e3
+    rate_hz *= 1e3 if match and (match[2] or "").lower() == "khz" else 1.0
     return rate_hz if 0 < rate_hz < 1e12 else None
 
 
@@ -240,9 +240,8 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
                 plain = cell.replace(",", ".", 1) if layout.decimal_comma else cell
                 if not _NUMBER.fullmatch(plain):
                     problem = "not a number" if cell else "an empty cell"
-                    remedy = "Mend the cell, or leave the recording out"
                     place = f"line {number}, column {position} ({printable(layout.names[position], 40)})"
-                    raise InputError(problem, place=place, found=repr(printable(cell, 40)), remedy=remedy)
+                    raise InputError(problem, place=place, found=repr(printable(cell, 40)), remedy=_MEND_CELL)
 
 
 def last_line_flags(path: Path) -> list[QualityFlag]:
@@ -288,9 +287,7 @@ def read_xlsx(path: Path, *, sources: Sequence[Source], settings: IngestSettings
                 if not _is_number(cell):
                     problem, found = ("an empty cell", "") if cell == "" else ("not a number", repr(cell))
                     place = f"row {number}, column {position} ({names[position]})"
-                    raise InputError(
-                        problem, place=place, found=found, remedy="Mend the cell, or leave the recording out"
-                    )
+                    raise InputError(problem, place=place, found=found, remedy=_MEND_CELL)
         block = np.ascontiguousarray(np.array(cells, dtype=np.float64).reshape(-1, len(positions)).T)
         return stated.with_columns(wanted, block)
 
@@ -312,9 +309,7 @@ def _rows(parser: Any, path: Path, settings: IngestSettings) -> Iterator[Row]:
         yield [""] * sheet.start[1] + row
 
 
-def _sheet_header(
-    rows: Iterator[Row],
-) -> tuple[tuple[str, ...], dict[str, str], Row | None, int]:
+def _sheet_header(rows: Iterator[Row]) -> tuple[tuple[str, ...], dict[str, str], Row | None, int]:
     """Names and units of the columns, the first row of numbers, and how many rows stand above it.
 
     Titles and notes above the names are passed over. ``rows`` are taken up to the first of numbers, None where there is
@@ -324,7 +319,7 @@ def _sheet_header(
     first: Row | None = None
     for row in islice(rows, _BANNER_ROWS):
         cells = _filled(row)
-        if len(cells) and all(map(_is_number, cells)):
+        if cells and all(map(_is_number, cells)):
             first = row
             break
         above.append([str(cell).strip() for cell in cells])
@@ -339,8 +334,7 @@ def _sheet_header(
 
 def _filled(row: Row) -> Row:
     """Cells of ``row`` up to the last that is not empty."""
-    n_cells = max((place + 1 for place, cell in enumerate(row) if cell != ""), default=0)
-    return row[:n_cells]
+    return row[: max((place + 1 for place, cell in enumerate(row) if cell != ""), default=0)]
 
 
 def _is_number(cell: object) -> bool:
