@@ -6,8 +6,9 @@ import fnmatch
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -64,8 +65,7 @@ _SAME_COUNT = 0.005
 _NOMINAL = 0.03
 
 
-@dataclass(frozen=True)
-class Wheel:
+class Wheel(NamedTuple):
     """Result of a look at an encoder's pulses: the best edge, the wheel or None, pulses and marks per second."""
 
     edge: str

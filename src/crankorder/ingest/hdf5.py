@@ -94,13 +94,10 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
         for dataset in used.values():
             _check_dataset(dataset)
         attributes = _Attributes(file, used)
-        starts, undated = starts_by_date(*attributes.starts({name: at.dataset for name, at in wanted.items()}), path)
-        described = {
-            name: Described(
-                at.n_samples, attributes.text(at.dataset, _UNITS), attributes.rate_hz(at.dataset), starts.get(name)
-            )
-            for name, at in wanted.items()
-        }
+        places = {name: column.dataset for name, column in wanted.items()}
+        starts, undated = starts_by_date(*attributes.starts(places), path)
+        told = {name: (attributes.text(place, _UNITS), attributes.rate_hz(place)) for name, place in places.items()}
+        described = {name: Described(at.n_samples, *told[name], starts.get(name)) for name, at in wanted.items()}
         stated = Contents.of("HDF5", described)
         if not names:
             speeds = (attributes.number(dataset, _SPEEDS) for dataset in used)
@@ -224,10 +221,8 @@ def _read_columns(
         try:
             _read_into([(column.index, row) for column, row in asked], dataset, first)
         except _H5PY_ERRORS as error:
-            problem, found = (
-                "damaged: the checksum or the compression of the samples is wrong",
-                str(error).split("\n")[0],
-            )
+            problem = "damaged: the checksum or the compression of the samples is wrong"
+            found = str(error).split("\n")[0]
             raise InputError(problem, place=dataset.name, found=found, remedy="Copy the file again") from None
         for column, row in asked:
             _unpack(row, column, attributes)

@@ -117,21 +117,15 @@ def _tdms(
         for name in names:
             values = np.asarray(channels[name][:])
             columns[name] = values.astype(float_type_for(values.dtype), copy=False)
-        stated = _stated_samples(file, {name: channels[name] for name in names})
+        stated = {name: len(channels[name]) for name in names}
+        for name in names:  # with those that the last chunk states and lacks
+            status = (file.file_status.channel_statuses or {}).get(channels[name].path)
+            stated[name] += 0 if status is None else max(0, status.expected_length - status.read_length)
         cut = _cut(path, columns, stated, printable(" ".join(said.getvalue().split())))
         if cut and len(set(stated.values())) == 1:
             shortest = min(map(len, columns.values()))
             columns = {name: values[:shortest] for name, values in columns.items()}
         return contents, columns, cut + undated
-
-
-def _stated_samples(file: Any, channels: Mapping[str, Any]) -> dict[str, int]:
-    """Samples of each of the ``channels`` with those that the last chunk of ``file`` states and lacks."""
-    stated = {name: len(channel) for name, channel in channels.items()}
-    for name, channel in channels.items():
-        status = (file.file_status.channel_statuses or {}).get(channel.path)
-        stated[name] += 0 if status is None else max(0, status.expected_length - status.read_length)
-    return stated
 
 
 def _cut(path: Path, columns: Mapping[str, FloatArray], stated: dict[str, int], said: str) -> list[QualityFlag]:

@@ -10,8 +10,8 @@ import mmap
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from crankorder.ingest.rawfile import (
     Source,
     check_budget,
     flag,
+    line_at,
     names_of,
     rows_for,
     starts_by_date,
@@ -45,8 +46,7 @@ _FEW_LINES = 4096
 """Lines of times from which the contents of a file are told; reading it uses all."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Segment:
+class _Segment(NamedTuple):
     """One block of columns: names, cells of the header by their first, the first byte and number of lines of values.
 
     ``first`` is the first line of values.
@@ -72,8 +72,7 @@ class _Segment:
         return _separator(self.first) if len(self.names) > 1 else "\t"
 
 
-@dataclass(frozen=True, slots=True)
-class _Column:
+class _Column(NamedTuple):
     segment: _Segment
     place: int
     is_time: bool
@@ -83,8 +82,7 @@ class _Column:
         return "s" if self.is_time else self.segment.said("Y_Unit_Label", self.place)
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
+class _Layout(NamedTuple):
     encoding: str
     decimal_comma: bool
     columns: dict[str, _Column]
@@ -173,9 +171,8 @@ def _segments(data: mmap.mmap, encoding: str) -> tuple[dict[str, list[str]], lis
 
 def _line(data: mmap.mmap, place: int, encoding: str) -> tuple[str, int]:
     """The line at ``place`` without its end, and where the next begins."""
-    end = data.find(b"\n", place)
-    end = len(data) if end < 0 else end
-    return data[place : min(end, place + _MOST_HEAD_BYTES)].decode(encoding, "replace").rstrip("\r"), end + 1
+    line, after = line_at(data, place, most_bytes=_MOST_HEAD_BYTES)
+    return line.decode(encoding, "replace"), after
 
 
 def _separator(line: str) -> str:

@@ -330,7 +330,6 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     """
     path = folder / MANIFEST_NAME if manifest is None else manifest
     text = _text_of(path, folder)
-    _refuse_endless(text, path)
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -370,8 +369,14 @@ def manifest_of(table: Mapping[str, object], path: Path, text: str = "") -> Mani
 
 def _refusal(faults: Iterable[RequestError], count: int, path: Path, text: str) -> ManyErrors:
     """The error of the first ``faults``, of ``count``, of a manifest, each with the line of ``text`` it is about."""
-    lines = key_lines(text)
-    return ManyErrors(told([_located(fault, path, lines) for fault in faults], count, file=path))
+    lines, located = key_lines(text), list[CrankorderError]()
+    for fault in faults:
+        key = fault.place
+        while key not in lines and "." in key:
+            key = key.rpartition(".")[0]
+        fault.file = f"{path}:{lines[key]}" if key in lines else str(path)
+        located.append(fault)
+    return ManyErrors(told(located, count, file=path))
 
 
 def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, object]]) -> dict[str, object]:
@@ -384,36 +389,31 @@ def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, object]
     }
 
 
-def _refuse_endless(text: str, path: Path) -> None:
-    """Refuse the ``text`` of a manifest that would take minutes to look through."""
-    counts = {"keys": (text.count("="), _MOST_KEYS), "tables": (text.count("[["), _MOST_TABLES)}
-    for what, (found, most) in counts.items():
-        if found > most:
-            raise RequestError(f"too many {what} for a manifest", file=path, found=found, allowed=f"up to {most}")
-    if _LONG_KEY.search(text):
-        raise RequestError("too long a key", file=path, allowed="names of up to 1000 characters")
-
-
 def _text_of(path: Path, folder: Path) -> str:
+    """Text of the manifest at ``path``; one that would take minutes to look through is refused."""
     init = f"Run `crankorder init {folder}` for a draft, or give one with --manifest FILE"
     try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):
+        if not stat.S_ISREG(path.stat().st_mode):
             raise RequestError("the manifest is not a regular file", file=path, remedy=init)
         if path.stat().st_size > _MAX_MANIFEST_BYTES:
             raise RequestError("too large for a manifest", file=path, allowed=f"{_MAX_MANIFEST_BYTES} bytes")
-        return path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
+        text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
     except FileNotFoundError:
         problem = "there is no manifest" if folder.is_dir() else "there is no such folder"
         raise RequestError(problem, file=path, remedy=init) from None
     except UnicodeDecodeError as error:
-        raise RequestError(
-            "not UTF-8 text", file=path, place=f"byte {error.start}", remedy="Save it as UTF-8"
-        ) from None
+        place, remedy = f"byte {error.start}", "Save it as UTF-8"
+        raise RequestError("not UTF-8 text", file=path, place=place, remedy=remedy) from None
     except (OSError, ValueError) as error:
         if isinstance(error, CrankorderError):
             raise
         raise RequestError("the manifest cannot be read", file=path, found=error) from None
+    for what, sign, most in (("keys", "=", _MOST_KEYS), ("tables", "[[", _MOST_TABLES)):
+        if (found := text.count(sign)) > most:
+            raise RequestError(f"too many {what} for a manifest", file=path, found=found, allowed=f"up to {most}")
+    if _LONG_KEY.search(text):
+        raise RequestError("too long a key", file=path, allowed="names of up to 1000 characters")
+    return text
 
 
 def _fault(fault: Any) -> RequestError:
@@ -432,14 +432,6 @@ def _fault(fault: Any) -> RequestError:
     said = str(fault["msg"])
     problem = re.sub("^Input should be ", "must be ", said).removeprefix("Value error, ")
     return RequestError(said.lower() if problem == said else problem, place=place, found=repr(fault["input"]))
-
-
-def _located(fault: RequestError, path: Path, lines: dict[str, int]) -> RequestError:
-    key = fault.place
-    while key not in lines and "." in key:
-        key = key.rpartition(".")[0]
-    fault.file = f"{path}:{lines[key]}" if key in lines else str(path)
-    return fault
 
 
 def _keys_of(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
+import mmap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -150,11 +152,9 @@ def named(source: Source, names: Sequence[str], path: Path) -> str:
         return fitting[0]
     shown = listed([printable(name, 60) for name in names], 20, counted=True)
     close = difflib.get_close_matches(str(source), names, n=1)
-    raise InputError(
-        f"channel {printable(source, 60)} not in file; has {shown or 'nothing that holds samples'}",
-        file=path,
-        remedy=f"Did you mean {printable(close[0], 60)!r}?" if close else "Mend the source in the manifest",
-    )
+    problem = f"channel {printable(source, 60)} not in file; has {shown or 'nothing that holds samples'}"
+    remedy = f"Did you mean {printable(close[0], 60)!r}?" if close else "Mend the source in the manifest"
+    raise InputError(problem, file=path, remedy=remedy)
 
 
 def names_of(sources: Sequence[Source], names: Sequence[str], path: Path) -> dict[Source, str]:
@@ -169,10 +169,8 @@ def distinct(names: Sequence[str]) -> tuple[str, ...]:
     """``names`` of columns, with a number behind each that comes again: "acc", "acc (2)"."""
     given: list[str] = []
     for name in names:
-        own, number = name, 2
-        while own in given:
-            own, number = f"{name} ({number})", number + 1
-        given.append(own)
+        numbered = (f"{name} ({number})" for number in count(2))
+        given.append(next(own for own in chain([name], numbered) if own not in given))
     return tuple(given)
 
 
@@ -197,6 +195,13 @@ def starts_by_date(
     starts = {source: lags.get(source, 0.0) + offsets_s.get(source, 0.0) for source in {**dates, **offsets_s}}
     detail = f"no date of start was set for {', '.join(map(str, unset))}: taken to start with the first of the others"
     return starts, [flag(path, "start_unknown", "suspect", detail)] if unset else []
+
+
+def line_at(data: mmap.mmap, place: int, *, most_bytes: int) -> tuple[bytes, int]:
+    """The line of ``data`` at ``place`` without its end, cut to ``most_bytes``, and where the next one begins."""
+    end = data.find(b"\n", place)
+    end = len(data) if end < 0 else end
+    return data[place : min(end, place + most_bytes)].rstrip(b"\r"), end + 1
 
 
 def part_of(n_samples: int, rows: slice | None) -> slice:
@@ -237,26 +242,19 @@ def check_budget(n_bytes: int, settings: IngestSettings) -> None:
     Raises UnsafeInputError with both numbers.
     """
     if n_bytes > settings.max_bytes:
-        raise UnsafeInputError(
-            f"claims {n_bytes} bytes of samples",
-            allowed=f"{settings.max_bytes} bytes (ingest.max_bytes)",
-            remedy="Check the file, or raise ingest.max_bytes in a recipe",
-        )
+        allowed = f"{settings.max_bytes} bytes (ingest.max_bytes)"
+        remedy = "Check the file, or raise ingest.max_bytes in a recipe"
+        raise UnsafeInputError(f"claims {n_bytes} bytes of samples", allowed=allowed, remedy=remedy)
 
 
 def stacked(rows: Sequence[FloatArray]) -> FloatArray:
     """``rows``, each (samples,), as one array (channels, samples); no copy where they are neighbours in one block."""
     base = rows[0].base
     if isinstance(base, np.ndarray) and base.ndim == 2 and base.flags.writeable and base.flags.c_contiguous:
-        step = base.strides[0]
-        first = rows[0].ctypes.data
-        places = [first + number * step for number in range(len(rows))]
-        neighbours = all(row.base is base and row.ctypes.data == at for row, at in zip(rows, places, strict=True))
-        start = (first - base.ctypes.data) // step if step else 0
-        if neighbours and base.shape[1] == rows[0].size:
-            block: FloatArray = base[start : start + len(rows)]
+        start = (rows[0].ctypes.data - base.ctypes.data) // max(base.strides[0], 1)
+        block: FloatArray = base[start : start + len(rows)]
+        own = (row.base is base and row.ctypes.data == at.ctypes.data for row, at in zip(rows, block, strict=False))
+        if block.shape == (len(rows), rows[0].size) and all(own):
             return block
-    rows_together = empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows))
-    for number, row in enumerate(rows):
-        rows_together[number] = row
-    return rows_together
+    together: FloatArray = empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows))
+    return np.stack(rows, out=together)

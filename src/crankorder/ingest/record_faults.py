@@ -25,6 +25,7 @@ from crankorder.ingest.signal_faults import (
     joined,
     lengths_of,
     root_mean_square,
+    sized,
     spans_of,
     survey,
 )
@@ -380,11 +381,8 @@ def find_spikes(channel: _Channel, *, settings: IngestSettings) -> None:
     samples, first = np.unique((places[:, None] + offsets)[hit], return_index=True)
     signal[samples] = predicted[hit][first]
     spikes = joined([np.column_stack([samples, samples + 1])], n_samples=signal.size)
-    height = float(np.abs(deviations).max())
-    detail = (
-        f"{len(spikes)} spike{'s' * (len(spikes) > 1)} of one to three samples, up to {height:.4g} "
-        f"({height / level:.3g} times the root mean square), after which nothing rings"
-    )
+    shown = f"{len(spikes)} spike{'s' * (len(spikes) > 1)} of one to three samples"
+    detail = f"{shown}, up to {sized(float(np.abs(deviations).max()), level)}, after which nothing rings"
     channel.faults.append(SignalFault("spikes", "suspect", detail, spikes))
 
 
@@ -490,17 +488,19 @@ def judged(
         _judge(signals, faults, sampled, settings)
     lost = [_lost(own, n_samples, sampled, settings) for own in faults]
     is_out = [_is_out(runs, n_samples, settings) for runs in lost]
-    flags: list[QualityFlag] = []
+    about = f"with {settings.lost_margin_s:g} s about each" if math.isfinite(sampled.rate_hz) else "in all"
+    flags, allowed = list[QualityFlag](), 100.0 * settings.max_lost_fraction
     for number, (name, own) in enumerate(zip(sampled.names, faults, strict=True)):
         if not all(is_out):
             for start, end in spans_of((0, n_samples)) if is_out[number] else lost[number]:
                 signals[number, start:end] = np.nan
-        share = _share_lost(lost[number], n_samples, sampled, settings) if is_out[number] else ""
+        percent = 100.0 * int(lengths_of(lost[number]).sum()) / n_samples
+        share = f": {about}, {percent:.2g} % of the channel is lost; allowed: {allowed:g} % between its ends"
         for fault in own:
             ends = (fault.at.min(), fault.at.max()) if len(fault.at) else (0, n_samples)
             begin, end = (sampled.start + int(place) / sampled.rate for place in ends)
             detail = f"channel {name}: {fault.detail} ({begin:.4g} … {end:.4g} {sampled.unit})"
-            detail += share if fault.is_lost and len(fault.at) else ""
+            detail += share if is_out[number] and fault.is_lost and len(fault.at) else ""
             remark = flag(path, fault.flag, fault.severity, detail)
             remark["channel"], remark["begin"], remark["end"] = name, begin, end
             if fault.is_lost and not all(is_out):
@@ -549,10 +549,3 @@ def _is_out(lost: Ints, n_samples: int, settings: IngestSettings) -> bool:
     kept = n_samples - int(lengths_of(lost[at_end]).sum())
     inside = int(lengths_of(lost[~at_end]).sum())
     return kept < (1.0 - settings.max_lost_at_ends_fraction) * n_samples or inside > settings.max_lost_fraction * kept
-
-
-def _share_lost(lost: Ints, n_samples: int, sampled: Sampled, settings: IngestSettings) -> str:
-    """How much of ``n_samples`` is ``lost`` with what lies about it, and how much may be."""
-    about = f"with {settings.lost_margin_s:g} s about each" if math.isfinite(sampled.rate_hz) else "in all"
-    percent, allowed = 100.0 * int(lengths_of(lost).sum()) / n_samples, 100.0 * settings.max_lost_fraction
-    return f": {about}, {percent:.2g} % of the channel is lost; allowed: {allowed:g} % between its ends"

@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -461,8 +461,7 @@ def _refuse_contradiction(name: str, angle_deg: Floats, manifest: Manifest, path
     raise InputError(problem, file=path, place=place, found=found, allowed=allowed, remedy=remedy)
 
 
-@dataclass(frozen=True, slots=True)
-class PulseFiles:
+class PulseFiles(NamedTuple):
     """Patterns of the recordings and of their pulse files, the recordings, and the column that holds the pulses."""
 
     recordings: str

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -243,10 +243,8 @@ class ShaftSignals:
             row = int(np.argmax(wrong))
             file, place = manifest.pulses_of(self.path) or self.path, f"encoder {source}, row {row + 1} of {wrong.size}"
             found = f"{stamps[row]:.9g} s" + (f", level {level[row]:g}" if with_levels else "")
-            problem, remedy = (
-                "pulse times must be finite and must not go back",
-                "Mend the list of times, or take the row out",
-            )
+            problem = "pulse times must be finite and must not go back"
+            remedy = "Mend the list of times, or take the row out"
             raise InputError(problem, file=file, place=place, found=found, remedy=remedy)
         if with_levels:
             high = level > 0.5 * (float(level.min()) + float(level.max()))
@@ -323,8 +321,7 @@ LISTED = 5
 """Breaks that are named one by one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Break:
+class Break(NamedTuple):
     """Break of a recording: ``sample`` is the first one behind it.
 
     ``turn`` and ``usual`` are the samples of the turn across it, which may be two, and of a usual turn.

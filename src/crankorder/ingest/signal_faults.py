@@ -374,6 +374,11 @@ def root_mean_square(survey: Survey) -> float:
     return math.sqrt(float(survey.means[known].var()) + float(survey.variances[known].mean()))
 
 
+def sized(size: float, level: float) -> str:
+    """``size`` and how many times the root mean square ``level``, both in the unit of the signal, that is."""
+    return f"{size:.4g} ({abs(size) / max(level, 1e-300):.3g} times the root mean square)"
+
+
 def find_slow_faults(survey: Survey, *, settings: IngestSettings) -> list[SignalFault]:
     """Faults of the signal of ``survey``: overloads, a settling start and drift, each with its samples.
 
@@ -456,10 +461,7 @@ def _overload(
     if abs(size) < settings.overload_ratio * level:
         return None
     span = spans_of(((jump - 1) * step, n_samples if last >= len(means) else last * step))
-    detail = (
-        f"overload of the sensor's supply: a jump of {size:.4g} ({abs(size) / max(level, 1e-300):.3g} times the "
-        "root mean square) that decays"
-    )
+    detail = f"overload of the sensor's supply: a jump of {sized(size, level)} that decays"
     return SignalFault("iepe_overload", "bad", detail, span, is_lost=True)
 
 
@@ -488,7 +490,7 @@ def _settling(means: Floats, vibration: float, step: int, settings: IngestSettin
     if not is_settling or abs(size) < settings.drift_ratio * vibration:
         return None
     end = min(math.ceil(_ends_after(size, constant, vibration)) + 1, len(means) // 2)
-    detail = f"the signal settles from {size:.4g} ({abs(size) / max(vibration, 1e-300):.3g} times the root mean square)"
+    detail = f"the signal settles from {sized(size, vibration)}"
     return SignalFault("start_transient", "suspect", detail, spans_of((0, end * step)), is_lost=True)
 
 
@@ -502,8 +504,5 @@ def _drift(means: Floats, free: np.ndarray, vibration: float, settings: IngestSe
     size = float(np.ptp(trend))
     if told < settings.drift_share or size < settings.drift_ratio * vibration:
         return None
-    detail = (
-        f"the mean wanders by {size:.4g} ({size / max(vibration, 1e-300):.3g} times the root mean square): "
-        "lines below a few hertz are in doubt"
-    )
+    detail = f"the mean wanders by {sized(size, vibration)}: lines below a few hertz are in doubt"
     return SignalFault("drift", "suspect", detail)

@@ -8,10 +8,9 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -40,8 +39,7 @@ _SEPARATORS = "\t;, "
 _MEND_CELL = "Mend the cell, or leave the recording out"
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
+class _Layout(NamedTuple):
     encoding: str
     separator: str
     decimal_comma: bool
@@ -92,9 +90,9 @@ def _layout_of(path: Path) -> _Layout:
         if not _is_comment(line) and (found := _separation(line)):
             separator, decimal_comma = found
             names, units = _header(lines[:number], separator, len(_fields(line, separator)))
-            comments = "\n".join(line for line in lines[:number] if _is_comment(line))
-            return _Layout(encoding, separator, decimal_comma, names, units, number, _rate_in(comments))
-    shown = next((line for line in lines if line.strip() and not _is_comment(line)), "")
+            rate_hz = _rate_in("\n".join(filter(_is_comment, lines[:number])))
+            return _Layout(encoding, separator, decimal_comma, names, units, number, rate_hz)
+    shown = next((line for line in lines if not _is_comment(line)), "")
     problem = "no line of numbers in the first 64 kB: no table of samples"
     remedy = "Export the recording as columns of numbers"
     raise InputError(problem, found=repr(printable(shown, 60)), remedy=remedy)

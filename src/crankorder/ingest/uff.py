@@ -8,9 +8,9 @@ from __future__ import annotations
 import mmap
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from crankorder.ingest.rawfile import (
     by_distinct_name,
     check_budget,
     flag,
+    line_at,
     names_of,
 )
 from crankorder.ingest.sampling import TimeColumn, read_time_column
@@ -47,8 +48,7 @@ _FUNCTIONS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class _History:
+class _History(NamedTuple):
     """One time history: its name, unit, points as the header promises them, sampling, and where its samples lie.
 
     ``even`` is what the header says of the times, None where each sample has its own, in units of ``time_s``.
@@ -112,7 +112,7 @@ def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]
         count += 1
         if count > settings.max_objects:
             raise UnsafeInputError(f"more than {settings.max_objects} data sets", remedy="Split the file")
-        line, place = _line(data, begin.end())
+        line, place = line_at(data, begin.end(), most_bytes=_MOST_LINE_BYTES)
         if re.match(rb"\s*58b?\b", line) is not None:
             history, place = _history(data, line, place)
         else:
@@ -129,19 +129,12 @@ def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]
     return by_distinct_name([(history.name, history) for history in histories])
 
 
-def _line(data: mmap.mmap, place: int) -> tuple[bytes, int]:
-    """The line at ``place`` without its end, and where the next begins; long ones are cut."""
-    end = data.find(b"\n", place)
-    end = len(data) if end < 0 else end
-    return data[place : min(end, place + _MOST_LINE_BYTES)].rstrip(b"\r"), end + 1
-
-
 def _history(data: mmap.mmap, kind: bytes, place: int) -> tuple[_History | str, int]:
     """The data set 58 whose header begins at ``place``, or what it is where it is no time history; and its end."""
     where = f"data set 58 at byte {place}"
     text: list[str] = []
     for _ in range(_HEADER_LINES):
-        line, place = _line(data, place)
+        line, place = line_at(data, place, most_bytes=_MOST_LINE_BYTES)
         text.append(_text(line))
     try:
         function, (form, n_points, spacing) = int(text[5][:5]), (int(cell) for cell in text[6].split()[:3])
@@ -206,11 +199,10 @@ def _unfit(form: int, n_points: int, spacing: int, step: str) -> str:
         return f"samples of type {form} are complex or unknown"
     if n_points < 0:
         return f"{n_points} samples"
-    try:
-        good = float(step) > 0.0 and np.isfinite(float(step))
-    except ValueError:
-        good = False
-    return "" if spacing == 0 or (spacing == 1 and good) else "samples at uneven steps of time"
+    with suppress(ValueError):
+        if spacing == 0 or (spacing == 1 and 0.0 < float(step) < np.inf):
+            return ""
+    return "samples at uneven steps of time"
 
 
 def _last_digit(step: str) -> float:

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -58,8 +58,7 @@ class _Channel:
     scale: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
+class _Layout(NamedTuple):
     """How the samples lie, as a ``fmt`` chunk says."""
 
     n_channels: int
@@ -70,8 +69,7 @@ class _Layout:
     is_float: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
+class _Header(NamedTuple):
     layout: _Layout
     data_start: int
     n_present: int
