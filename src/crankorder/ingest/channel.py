@@ -14,7 +14,7 @@ from pydantic import field_validator as field_check
 
 from crankorder.engine.machine_parts import stated
 from crankorder.errors import InputError, RequestError
-from crankorder.ingest.encoder_table import Name, Positive, Source, Table
+from crankorder.ingest.encoder_table import Name, Positive, Source, Table, optional
 from crankorder.ingest.units import (
     Unit,
     base_unit,
@@ -36,8 +36,8 @@ class Channel(Table):
 
     name: Name = stated("What results and pictures call the channel.", "Z")
     unit: str = stated("Unit of the analysed signal: m/s2, g, mm/s, um, Pa, bar, N, Nm, V, 1 and others.", "m/s2")
-    source: Source | None = stated(
-        "Dataset, column name, pattern with * or column number from 0; the name where left out.", "acc_z", default=None
+    source: Source | None = optional(
+        "Dataset, column name, pattern with * or column number from 0; the name where left out.", "acc_z"
     )
     quantity: str = stated(
         "What is analysed, where the unit does not tell; it must agree with the unit. A pressure in Pa is "
@@ -46,21 +46,17 @@ class Channel(Table):
         "cylinder pressure",
         default="",
     )
-    measured_unit: str | None = stated(
-        "Unit of what the file holds, where it does not say: of a quantity that is to be integrated.", "g", default=None
+    measured_unit: str | None = optional(
+        "Unit of what the file holds, where it does not say: of a quantity that is to be integrated.", "g"
     )
-    highpass_hz: Positive | None = stated(
-        "Frequency below which an integrated channel holds nothing: half of the power passes there.", 2.0, default=None
+    highpass_hz: Positive | None = optional(
+        "Frequency below which an integrated channel holds nothing: half of the power passes there.", 2.0
     )
-    sensitivity: str | None = stated(
-        "Output of the sensor per unit, where the file holds volts or the like.", "100 mV/g", default=None
+    sensitivity: str | None = optional(
+        "Output of the sensor per unit, where the file holds volts or the like.", "100 mV/g"
     )
-    full_scale_v: Positive | None = stated(
-        "Volts at full scale of a file that holds shares of it (WAV).", 10.0, default=None
-    )
-    offset: str | None = stated(
-        "What is taken off the file's values before they are scaled, with its unit.", "2.5 V", default=None
-    )
+    full_scale_v: Positive | None = optional("Volts at full scale of a file that holds shares of it (WAV).", 10.0)
+    offset: str | None = optional("What is taken off the file's values before they are scaled, with its unit.", "2.5 V")
     direction: str = stated(
         "Axis that the sensor looks along: X across the crankshaft, Y along it, Z along the cylinder.", "+Z", default=""
     )
@@ -277,9 +273,7 @@ class Rotor(Table):
     """``[rotor]``: mass and speed by which an unbalance in g·mm becomes a balance grade."""
 
     mass_kg: Positive = stated("Mass of the rotor.", 12.5)
-    service_rpm: Positive | None = stated(
-        "Fastest speed in service; the fastest tested where left out.", 3000.0, default=None
-    )
+    service_rpm: Positive | None = optional("Fastest speed in service; the fastest tested where left out.", 3000.0)
 
 
 def check_bands(limits: tuple[Limit, ...], rate_hz: float, path: Path) -> None:

@@ -66,6 +66,11 @@ class Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
+def optional(description: str, *example: object) -> Any:
+    """A field with its ``description``, and an ``example`` or none, that is None where it is left out."""
+    return stated(description, *example, default=None)
+
+
 class Encoder(Table):
     """``[encoder]``: how the file tells the angle or the speed of the shaft."""
 
@@ -77,47 +82,36 @@ class Encoder(Table):
         "square",
         default="none",
     )
-    source: Source | None = stated("Dataset or column that holds it.", "encoder", default=None)
-    file: Name | None = stated(
+    source: Source | None = optional("Dataset or column that holds it.", "encoder")
+    file: Name | None = optional(
         "File of pulse times beside each recording; * stands for the recording's name, {step} for the part "
         "of it that has this name in recordings.files.",
         "*.edges.csv",
-        default=None,
     )
-    time_source: Source | None = stated("Column of times in that file.", "time_s", default=None)
+    time_source: Source | None = optional("Column of times in that file.", "time_s")
     offset_s: float = stated(
         "Added to the times of that file: what its clock lags behind the recording's.", 0.25, default=0.0
     )
-    pulses_per_rev: Teeth | None = stated(
+    pulses_per_rev: Teeth | None = optional(
         "Pulses per revolution of the full wheel, missing teeth counted: 60 of a 60-2 wheel; of kind count "
         "the counts: 4096 of 1024 lines counted fourfold.",
         60,
-        default=None,
     )
     missing_teeth: Annotated[int, Field(ge=0, le=1_000_000)] = stated(
         "Teeth that the wheel lacks in its one gap: 2 of a 60-2 wheel.", 2, default=0
     )
-    pattern: Name | None = stated(
-        "A wheel of the trade by name, or even teeth and gap such as 60-2.", "36-2", default=None
+    pattern: Name | None = optional("A wheel of the trade by name, or even teeth and gap such as 60-2.", "36-2")
+    tooth_angles_deg: Annotated[tuple[float, ...], Field(strict=False)] | None = optional(
+        "Angles of the pulses of one turn of the wheel from the first at 0, ascending, below 360.", [0.0, 30.0, 180.0]
     )
-    tooth_angles_deg: Annotated[tuple[float, ...], Field(strict=False)] | None = stated(
-        "Angles of the pulses of one turn of the wheel from the first at 0, ascending, below 360.",
-        [0.0, 30.0, 180.0],
-        default=None,
+    index: Source | None = optional("Dataset or column of a mark once per revolution of the encoder.", "index")
+    cam: Source | None = optional(
+        "Dataset or column of a mark once per cycle of a four-stroke engine: which dead centre fires.", "cam"
     )
-    index: Source | None = stated(
-        "Dataset or column of a mark once per revolution of the encoder.", "index", default=None
-    )
-    cam: Source | None = stated(
-        "Dataset or column of a mark once per cycle of a four-stroke engine: which dead centre fires.",
-        "cam",
-        default=None,
-    )
-    second_track: Source | None = stated(
+    second_track: Source | None = optional(
         "Dataset or column of a second track a quarter of a pulse behind the first (B of A and B): it "
         "tells whether the shaft turns backwards.",
         "encoder_b",
-        default=None,
     )
     edge: Literal["rising", "falling"] = stated("Edge of the trace that counts.", "falling", default="rising")
     ratio: Ratio = stated("Revolutions of the encoder per crank revolution.", 0.5, default=1.0)
@@ -127,14 +121,12 @@ class Encoder(Table):
         84.0,
         default=0.0,
     )
-    cam_to_tdc_deg: Turn | None = stated(
-        "Crank angle from the cam mark to the firing top dead centre.", 120.0, default=None
+    cam_to_tdc_deg: Turn | None = optional("Crank angle from the cam mark to the firing top dead centre.", 120.0)
+    speed_rpm: Positive | None = optional(
+        "Speed of the crank in every recording that has none of its own; of kind constant.", 1500.0
     )
-    speed_rpm: Positive | None = stated(
-        "Speed of the crank in every recording that has none of its own; of kind constant.", 1500.0, default=None
-    )
-    expected_rpm: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = stated(
-        "Lowest and highest speed that is looked for; of kind vibration alone.", [600.0, 3000.0], default=None
+    expected_rpm: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = optional(
+        "Lowest and highest speed that is looked for; of kind vibration alone.", [600.0, 3000.0]
     )
 
     @field_check("expected_rpm")

@@ -220,8 +220,6 @@ def _read(
                     row[done : done + len(frame)] = frame[place].to_numpy()
                 done += len(frame)
     except (ValueError, OverflowError) as error:
-        if isinstance(error, InputError):
-            raise
         cell = printable(str(error).split("\n")[0], 80)
         line = f"line {done + 1} of the values or below"
         raise InputError("a cell is no number", place=line, found=cell, remedy="Mend the cell") from None

@@ -35,6 +35,7 @@ from crankorder.ingest.encoder_table import (
     Table,
     Teeth,
     encoder_faults,
+    optional,
 )
 from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
 from crankorder.ingest.units import Unit
@@ -193,8 +194,8 @@ class Test(Table):
         "four-stroke",
     )
     name: str = stated("Name of the test; the folder's where empty.", "second build", default="")
-    engine: Name | None = stated("A shipped engine, or the path of an engine file.", "msu-optical-second", default=None)
-    recipe: Name | None = stated("A shipped recipe, or the path of a recipe file.", "coast-down", default=None)
+    engine: Name | None = optional("A shipped engine, or the path of an engine file.", "msu-optical-second")
+    recipe: Name | None = optional("A shipped recipe, or the path of a recipe file.", "coast-down")
 
 
 class Recordings(Table):
@@ -227,9 +228,9 @@ class Sampling(Table):
     domain: Literal["time", "crank_angle"] = stated(
         "What the samples are evenly spaced in.", "crank_angle", default="time"
     )
-    rate_hz: Positive | None = stated("Samples per second, where the file does not say.", 10000.0, default=None)
-    time_source: Source | None = stated("Column of times in s, from which the rate is taken.", "time", default=None)
-    samples_per_rev: Count | None = stated("Samples per crank revolution; needed with crank_angle.", 720, default=None)
+    rate_hz: Positive | None = optional("Samples per second, where the file does not say.", 10000.0)
+    time_source: Source | None = optional("Column of times in s, from which the rate is taken.", "time")
+    samples_per_rev: Count | None = optional("Samples per crank revolution; needed with crank_angle.", 720)
     start_deg: float = stated("Crank angle of the first sample, from top dead centre.", -360.0, default=0.0)
 
 

@@ -403,8 +403,7 @@ def find_slow_faults(survey: Survey, *, settings: IngestSettings) -> list[Signal
     if not faults and (start := _settling(means, vibration, step, settings)) is not None:
         faults.append(start)
         free[: -(-int(start.at[0, 1]) // step)] = False
-    drift = _drift(means, free, vibration, settings)
-    return faults if drift is None else [*faults, drift]
+    return faults + _drift(means, free, vibration, settings)
 
 
 def _decay(offsets: Floats) -> tuple[float, float, float]:
@@ -494,15 +493,15 @@ def _settling(means: Floats, vibration: float, step: int, settings: IngestSettin
     return SignalFault("start_transient", "suspect", detail, spans_of((0, end * step)), is_lost=True)
 
 
-def _drift(means: Floats, free: np.ndarray, vibration: float, settings: IngestSettings) -> SignalFault | None:
+def _drift(means: Floats, free: np.ndarray, vibration: float, settings: IngestSettings) -> list[SignalFault]:
     """A slow trend larger than the vibration, in most of what is ``free``."""
     if np.count_nonzero(free) < _FEWEST // 2:
-        return None
+        return []
     place, values = np.linspace(-1.0, 1.0, len(means))[free], means[free]
     trend = np.polynomial.Polynomial.fit(place, values, 3)(place)
     told = 1.0 - float(np.var(values - trend)) / max(float(np.var(values)), 1e-300)
     size = float(np.ptp(trend))
     if told < settings.drift_share or size < settings.drift_ratio * vibration:
-        return None
+        return []
     detail = f"the mean wanders by {sized(size, vibration)}: lines below a few hertz are in doubt"
-    return SignalFault("drift", "suspect", detail)
+    return [SignalFault("drift", "suspect", detail)]
