@@ -237,7 +237,7 @@ def _timing(
     ``read`` holds the values of their columns of times, by the first byte of the segment and the place in it.
     """
     kinds: dict[tuple[object, ...], tuple[float | None, dict[str, float], list[QualityFlag]]] = {}
-    rates: dict[str, float] = {}
+    rates: dict[str, float | None] = {}
     starts: dict[str, float] = {}
     dates: dict[str, np.datetime64] = {}
     for name, column in columns.items():
@@ -247,8 +247,7 @@ def _timing(
         kind = (segment.begin, None if time is None else begin, segment.said("Delta_X", own))
         if kind not in kinds:
             kinds[kind] = _rate(segment, own, None if time is None else read[segment.begin, begin], path, settings)
-        rate_hz, attrs, _ = kinds[kind]
-        rates |= {} if rate_hz is None else {name: rate_hz}
+        rates[name], attrs, _ = kinds[kind]
         first_s, own_s = (_number(segment.said("X0", place)) or 0.0 for place in (first, own))
         starts[name] = own_s if time is None else attrs["start_s"] + own_s - first_s
         date, of_day = segment.said("Date", own).replace("/", "-"), segment.said("Time", own).replace(",", ".")
@@ -257,9 +256,7 @@ def _timing(
     starts, flags = starts_by_date({name: date for name, date in dates.items() if not np.isnat(date)}, starts, path)
     flags += [remark for _, _, remarks in kinds.values() for remark in remarks]
     attrs = next(iter(kinds.values()))[1]
-    described = {
-        name: Described(None, column.unit, rates.get(name), starts.get(name)) for name, column in columns.items()
-    }
+    described = {name: Described(None, at.unit, rates[name], starts.get(name)) for name, at in columns.items()}
     return Contents.of("LVM", described, rate_uncertainty=attrs["rate_uncertainty"]), attrs, flags
 
 

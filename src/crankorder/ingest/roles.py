@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -195,7 +195,7 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     if any(column.role == "time" and _is_straight(column.values) for column in found):
         # at a held speed an angle grows as evenly as the time, which is what tells the speed
         found = [column.used_as("encoder") if column.role == "angle" else column for column in found]
-    found = _first_of_edges(_used_together(found, contents.rates_hz))
+    found = _first_of_edges(list(_used_together(found, contents.rates_hz)))
     time = next((column for column in found if column.role == "time"), None)
     of_edges = time is not None and _lists_edges(time, [column for column in found if column is not time])
     if time is not None and len(found) == 1:
@@ -349,7 +349,7 @@ def angle_step(values: Floats) -> float | None:
     return step if abs(per_rev - round(per_rev)) < 1e-3 * per_rev else None
 
 
-def _used_together(found: list[Column], rates_hz: Mapping[str, float]) -> list[Column]:
+def _used_together(found: list[Column], rates_hz: Mapping[str, float]) -> Iterator[Column]:
     """``found`` without what cannot be used beside the others.
 
     A second time, angle, speed or mark; a time beside an angle; a time of columns that differ in rate, whose times it
@@ -358,7 +358,6 @@ def _used_together(found: list[Column], rates_hz: Mapping[str, float]) -> list[C
     several = len({rates_hz.get(column.name) for column in found if column.role != "time"} - {None}) > 1
     fastest_hz = max((rates_hz.get(column.name, 0.0) for column in found if column.role == "channel"), default=0.0)
     seen: set[Role] = {"time"} if any(column.role == "angle" for column in found) else set()
-    used: list[Column] = []
     for column in found:
         role, rate_hz = column.role, rates_hz.get(column.name, fastest_hz)
         if role == "time" and several:
@@ -369,8 +368,7 @@ def _used_together(found: list[Column], rates_hz: Mapping[str, float]) -> list[C
         elif role in seen and role not in ("channel", "encoder"):
             column = column.used_as("unused")
         seen.add(role)
-        used.append(column)
-    return used
+        yield column
 
 
 def _first_of_edges(found: list[Column]) -> list[Column]:

@@ -327,16 +327,14 @@ def bases_of(
     return bases, file_hz
 
 
-def length_faults(bases: Mapping[str, TimeBase], path: Path) -> list[InputError]:
+def length_faults(bases: Mapping[str, TimeBase], path: Path) -> Iterator[InputError]:
     """Faults of columns of the file at ``path`` whose ``bases``, by role, differ only in length."""
     first: dict[tuple[float, float], str] = {}
-    faults: list[InputError] = []
     for role, base in bases.items():
         other = first.setdefault((base.rate_hz, base.start_s), role)
         if bases[other].n_samples != base.n_samples:
             problem = f"lengths differ: {other} has {bases[other].n_samples} samples, {role} has {base.n_samples}"
-            faults.append(InputError(problem, file=path, remedy="Export all channels over the same time at one rate"))
-    return faults
+            yield InputError(problem, file=path, remedy="Export all channels over the same time at one rate")
 
 
 def on_one_base(
@@ -386,7 +384,7 @@ def on_one_base(
         place = bases[role].place(base.start_s, settings)
         whole = slice(round(place), round(place) + n_samples)
         columns[role] = resampled(row, place, step[role], n_samples) if role in moved else row[whole]
-    return base, flags + _loss_flags(bases, moved, base, path)
+    return base, [*flags, *_loss_flags(bases, moved, base, path)]
 
 
 def _start_flags(bases: Mapping[str, TimeBase], path: Path, settings: IngestSettings) -> list[QualityFlag]:
@@ -400,15 +398,14 @@ def _start_flags(bases: Mapping[str, TimeBase], path: Path, settings: IngestSett
     return [flag(path, "start_times", "info", detail)]
 
 
-def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase, path: Path) -> list[QualityFlag]:
+def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase, path: Path) -> Iterator[QualityFlag]:
     """What was lost when channels on ``bases`` came to ``base``, of which some were ``moved`` between samples."""
     from crankorder.fft.resampling import PASS
 
-    flags: list[QualityFlag] = []
     seconds, longest_s = base.n_samples / base.rate_hz, max(own.n_samples / own.rate_hz for own in bases.values())
     if longest_s - seconds > _MOST_CUT * longest_s:
         detail = f"{seconds:.6g} s of {longest_s:.6g} s were recorded by all channels: the rest is left out"
-        flags.append(flag(path, "recording_cut", "suspect", detail))
+        yield flag(path, "recording_cut", "suspect", detail)
     if moved:
         rates = listed([f"{role} of {bases[role].rate_hz:.9g} Hz" for role in moved], 5)
         detail = (
@@ -416,5 +413,4 @@ def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase,
             f"what lies above {PASS * base.rate_hz:.6g} Hz is lost"
         )
         slower = any(bases[role].rate_hz != base.rate_hz for role in moved)
-        flags.append(flag(path, "channels_resampled", "suspect" if slower else "info", detail))
-    return flags
+        yield flag(path, "channels_resampled", "suspect" if slower else "info", detail)

@@ -6,7 +6,7 @@ All of it is done block by block, for a signal may be larger than memory. What l
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -52,8 +52,7 @@ def spans_of(*spans: tuple[int, int]) -> Ints:
 
 def lengths_of(spans: Ints) -> Ints:
     """Number of samples (spans,) of each of the ``spans`` (spans, 2)."""
-    lengths: Ints = spans[:, 1] - spans[:, 0]
-    return lengths
+    return spans[:, 1] - spans[:, 0]
 
 
 def joined(spans: Sequence[Ints], *, within: int = 0, n_samples: int) -> Ints:
@@ -149,7 +148,7 @@ def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> Ints:
     return np.concatenate(parts)
 
 
-def _dropout(signal: FloatArray, settings: IngestSettings) -> list[SignalFault]:
+def _dropout(signal: FloatArray, settings: IngestSettings) -> Iterator[SignalFault]:
     """Flag stretches in which the signal stands still, whatever its level, where the longest is too long for chance."""
     last = np.array([np.nan], dtype=signal.dtype)
 
@@ -162,20 +161,18 @@ def _dropout(signal: FloatArray, settings: IngestSettings) -> list[SignalFault]:
     runs = _runs(signal, still, least=settings.dropout_samples - 1)
     runs[:, 0] = np.maximum(runs[:, 0] - 1, 0)
     if lengths_of(runs).max(initial=0) < settings.dropout_fraction * signal.size:
-        return []
+        return
     is_silent = (signal[runs[:, 0]] == 0.0) & ((runs[:, 0] == 0) | (runs[:, 1] == signal.size))
     silence, held = runs[is_silent], runs[~is_silent]
-    faults: list[SignalFault] = []
     if len(silence):
         count = int(lengths_of(silence).sum())
         share = f"{count / signal.size:.1%}"
         detail = f"zeros for {count} samples ({share}) at its start or end: nothing was recorded there"
-        faults.append(SignalFault("silence", "suspect", detail, silence, is_lost=True))
+        yield SignalFault("silence", "suspect", detail, silence, is_lost=True)
     if (length := lengths_of(held).max(initial=0)) >= settings.dropout_fraction * signal.size:
         first = held[np.argmax(lengths_of(held)), 0]
         detail = f"the same value for {length} samples ({length / signal.size:.1%}) from sample {first}"
-        faults.append(SignalFault("dropout", "bad", detail, held, is_lost=True))
-    return faults
+        yield SignalFault("dropout", "bad", detail, held, is_lost=True)
 
 
 def _few_levels(signal: FloatArray, settings: IngestSettings) -> list[float]:
@@ -212,7 +209,7 @@ def _missing(signal: FloatArray) -> Mask:
     return missing
 
 
-def _without(signal: FloatArray, missing: Ints, settings: IngestSettings) -> list[SignalFault]:
+def _without(signal: FloatArray, missing: Ints, settings: IngestSettings) -> Iterator[SignalFault]:
     """Bridge the short of the ``missing`` runs by straight lines, make the others NaN, and flag both."""
     lengths = lengths_of(missing)
     is_short = lengths <= settings.max_gap_samples
@@ -231,8 +228,8 @@ def _without(signal: FloatArray, missing: Ints, settings: IngestSettings) -> lis
                 f"{total} samples are missing (not a number, infinite or a fill value), most from sample {first}: "
                 f"{count / signal.size:.3%} {how}, allowed {most:.1%}"
             )
-            return [SignalFault("gap", "bad", detail, is_lost=True)]
-    flags = []
+            yield SignalFault("gap", "bad", detail, is_lost=True)
+            return
     for start, end in gaps:
         signal[start:end] = np.nan
     if len(gaps):
@@ -242,14 +239,13 @@ def _without(signal: FloatArray, missing: Ints, settings: IngestSettings) -> lis
             f"gap{'s' * (len(gaps) > 1)}, the longest of {lengths.max()} from sample {gaps[np.argmax(lengths), 0]}; "
             "what touches a gap is left out"
         )
-        flags.append(SignalFault("gap", "suspect", detail, gaps))
+        yield SignalFault("gap", "suspect", detail, gaps)
     if len(short):
         for start, end in short:
             beside = [place for place in (start - 1, end) if 0 <= place < signal.size]
             signal[start:end] = np.interp(np.arange(start, end), beside, signal[beside])
         detail = f"{bridged} missing samples bridged, first at sample {short[0, 0]}"
-        flags.append(SignalFault("non_finite_interpolated", "suspect", detail, short))
-    return flags
+        yield SignalFault("non_finite_interpolated", "suspect", detail, short)
 
 
 def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSettings) -> list[SignalFault]:
@@ -295,8 +291,7 @@ def _is_cut_off(signal: FloatArray, extreme: float, flat: Ints, step: float) -> 
         np.abs(signal[np.clip(at, 0, signal.size - 1)] - extreme)
         for at in (flat[:, 0] - lengths_of(flat), flat[:, 1] - 1 + lengths_of(flat))
     )
-    steep: Bools = np.fmax(before, after) > _STEEP_STEPS * step
-    return steep
+    return np.asarray(np.fmax(before, after) > _STEEP_STEPS * step)
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,8 +331,7 @@ def survey(signal: FloatArray, *, size: int) -> Survey:
 def grouped(values: Floats, group: int) -> Floats:
     """Means (values // group,) of ``values`` (values,) over ``group`` neighbours at a time; a rest is left out."""
     whole = len(values) // group * group
-    means: Floats = values[:whole].reshape(-1, group).mean(axis=1)
-    return means
+    return np.asarray(values[:whole].reshape(-1, group).mean(axis=1))
 
 
 @nb.njit(cache=True, nogil=True, fastmath={"nsz", "reassoc", "contract"})
