@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import ValidationInfo, WithJsonSchema
 from pydantic import field_validator as field_check
@@ -104,8 +103,7 @@ class Channel(Table):
         return max(0, DERIVATIVE[source.quantity] - DERIVATIVE[wanted])
 
 
-@dataclass(frozen=True, slots=True)
-class Scaling:
+class Scaling(NamedTuple):
     """Offset in the file's unit and factor to ``unit``; ``remark`` tells of a unit that was not understood.
 
     ``unit`` is the analysed one, or the measured one where the channel is to be integrated ``integrals`` times.

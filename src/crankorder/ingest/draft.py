@@ -140,7 +140,7 @@ def draft_manifest(folder: Path) -> str:
         columns = _marks_by_wheel(columns, wheel)
         if columns.of("encoder") is None and (mark := columns.of("index")) is not None:
             wheel = wheel_of(Columns((mark.used_as("encoder"), *columns.all)), contents, path)
-        encoder = _encoder(columns, wheel, speeds, speeds.get(path.name))
+        encoder = _encoder(columns, wheel, speeds.get(path.name))
     else:
         own, doubt = ("encoder", "index", "cam"), "the pulses stand in files of their own"
         beside = (column.used_as("unused", doubt) if column.role in own else column for column in columns.all)
@@ -334,17 +334,15 @@ def _unit(column: Column, *, first: bool) -> list[str]:
     return lines
 
 
-def _encoder(
-    columns: Columns, wheel: Wheel | None, speeds: Mapping[str, object], stated: tuple[float, str] | None
-) -> Sequence[str]:
+def _encoder(columns: Columns, wheel: Wheel | None, stated: tuple[float, str] | None) -> Sequence[str]:
     """Lines of the encoder, whose pulses show a ``wheel``; NO_ENCODER where nothing tells speed or angle of a shaft.
 
-    ``stated`` is the speed of the recording, one of the ``speeds`` of all, where they have one.
+    ``stated`` is the speed of the recording, where it and all others have one.
     """
     encoder, index, speed, constant = (columns.of(role) for role in ("encoder", "index", "speed", "constant"))
     constant_speed = ["[encoder]", 'kind = "constant"']
     if columns.of("angle") is not None:
-        return constant_speed if speeds else []
+        return constant_speed if stated else []
     if encoder is not None:
         source, *marks = (
             _asked(f"{key} = {_shown(column.source)}", column.doubt)
@@ -359,7 +357,7 @@ def _encoder(
         return ["[encoder]", f"source = {_shown(speed.source)}", 'kind = "speed"']
     if constant is not None:
         return [*constant_speed, _asked(f"source = {_shown(constant.source)}", "a number, taken as rpm")]
-    return constant_speed if speeds else NO_ENCODER
+    return constant_speed if stated else NO_ENCODER
 
 
 def _pulse_file(pulses: PulseFiles, stated: tuple[float, str] | None) -> list[str]:

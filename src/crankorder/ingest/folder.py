@@ -74,16 +74,14 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
         if len(faults) >= MOST_TOLD and not glob.has_magic(pattern) and not os.path.lexists(f"{folder}/{pattern}"):
             untold += 1
             continue
-        matches: list[Path] = []
         with collected(faults):
-            matches = _matches(folder, pattern)
-        for path in matches:
-            with collected(faults):
-                if is_leftover(path.name):
-                    ignored.add(path.name)
-                elif path not in chosen and (not is_companion(path.name) or pattern == path.name):
-                    check_regular(path, folder)
-                    chosen[path] = None
+            for path in _matches(folder, pattern):
+                with collected(faults):
+                    if is_leftover(path.name):
+                        ignored.add(path.name)
+                    elif path not in chosen and (not is_companion(path.name) or pattern == path.name):
+                        check_regular(path, folder)
+                        chosen[path] = None
     pulses = {path: manifest.pulses_of(path) for path in chosen}
     _refuse_shared(pulses, manifest, folder)
     for path in [path for path in chosen if path in pulses.values() and pulses[path] != path]:

@@ -103,7 +103,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
             speeds = (attributes.number(dataset, _SPEEDS) for dataset in used)
             return replace(stated, speed_rpm=next((rpm for rpm in speeds if rpm), None)).with_columns({}, ())
         check_budget(sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values()), settings)
-        values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
+        values = _read_columns([columns[name] for name in names.values()], attributes, settings, rows)
         others = set(stated.rates_hz.values())
         doubts = [attributes.doubts(at.dataset, stated.rates_hz.get(name), others) for name, at in wanted.items()]
         flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
@@ -204,18 +204,14 @@ def _check_dataset(dataset: Any) -> None:
 
 
 def _read_columns(
-    columns: list[_Column],
-    used: Mapping[str, Any],
-    attributes: _Attributes,
-    settings: IngestSettings,
-    rows: slice | None,
+    columns: list[_Column], attributes: _Attributes, settings: IngestSettings, rows: slice | None
 ) -> list[FloatArray]:
     """Samples of ``columns``; equal lengths and types share one block, so that stacking them costs no copy."""
     parts = [part_of(column.n_samples, rows) for column in columns]
-    types = [float_type_for(used[column.dataset].dtype) for column in columns]
+    types = [float_type_for(column.opened.dtype) for column in columns]
     kinds = [(part.stop - part.start, kind) for part, kind in zip(parts, types, strict=True)]
     room = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
-    for name, dataset in used.items():
+    for name, dataset in {column.dataset: column.opened for column in columns}.items():
         asked = [(column, row) for column, row in zip(columns, room, strict=True) if column.dataset == name]
         first = part_of(asked[0][0].n_samples, rows).start
         try:
@@ -224,8 +220,13 @@ def _read_columns(
             problem = "damaged: the checksum or the compression of the samples is wrong"
             found = str(error).split("\n")[0]
             raise InputError(problem, place=dataset.name, found=found, remedy="Copy the file again") from None
-        for column, row in asked:
-            _unpack(row, column, attributes)
+        for column, row in asked:  # the packing conventions of NetCDF are undone: fill value, scale and offset
+            fill = attributes.number(name, _FILLS, inherited=False)
+            for part in blocks(row.size if fill is not None else 0):
+                row[part][row[part] == row.dtype.type(fill)] = np.nan
+            for packing, applied in ((_SCALE, np.multiply), (_OFFSET, np.add)):
+                if (number := attributes.packing(column, packing)) is not None:
+                    applied(row, number, out=row)
     return room
 
 
@@ -249,17 +250,6 @@ def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any, first: i
         piece = dataset[there] if axis == 0 else dataset[:, there]
         for index, row in rows:
             row[part] = piece if index is None else piece[:, index] if axis == 0 else piece[index]
-
-
-def _unpack(row: FloatArray, column: _Column, attributes: _Attributes) -> None:
-    """Undo the packing conventions of NetCDF in the ``row`` of a ``column``: fill value, scale and offset."""
-    fill = attributes.number(column.dataset, _FILLS, inherited=False)
-    if fill is not None:
-        for part in blocks(row.size):
-            row[part][row[part] == row.dtype.type(fill)] = np.nan
-    for name, applied in ((_SCALE, np.multiply), (_OFFSET, np.add)):
-        if (number := attributes.packing(column, name)) is not None:
-            applied(row, number, out=row)
 
 
 class _Attributes:

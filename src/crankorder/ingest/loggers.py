@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import html
 import io
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -80,24 +80,6 @@ def _tdms_channels(file: Any) -> Mapping[str, Any]:
     return by_distinct_name(channels)
 
 
-def _tdms_contents(
-    channels: Mapping[str, Any], dated: Collection[str], path: Path
-) -> tuple[Contents, list[QualityFlag]]:
-    """What the properties of the ``channels`` say, and flags of dates of the ``dated`` that were not set."""
-    dates = {name: channels[name].properties.get("wf_start_time") for name in dated}
-    stamps = {name: date.as_datetime64("ns") for name, date in dates.items() if hasattr(date, "as_datetime64")}
-    offsets = {name: channel.properties.get("wf_start_offset") for name, channel in channels.items()}
-    numbers = {name: float(offset) for name, offset in offsets.items() if _is_number(offset)}
-    starts, flags = starts_by_date(stamps, numbers, path)
-    columns: dict[str, Described] = {}
-    for name, channel in channels.items():
-        unit = str(next((channel.properties[key] for key in _UNITS if key in channel.properties), ""))
-        step = channel.properties.get("wf_increment")
-        rate_hz = float(f"{1.0 / float(step):.12g}") if _is_number(step) and step > 0 else None
-        columns[name] = Described(len(channel), unit, rate_hz, starts.get(name))
-    return Contents.of("TDMS", columns), flags
-
-
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and bool(np.isfinite(value))
 
@@ -109,14 +91,23 @@ def _tdms(
     with _heard() as said, parser.open(path, raw_timestamps=True) as file:
         channels = _tdms_channels(file)
         names = dict.fromkeys(names_of(sources, tuple(channels), path).values())
-        contents, undated = _tdms_contents(channels, names or channels, path)
+        dates = {name: channels[name].properties.get("wf_start_time") for name in names or channels}
+        stamps = {name: date.as_datetime64("ns") for name, date in dates.items() if hasattr(date, "as_datetime64")}
+        offsets = {name: channel.properties.get("wf_start_offset") for name, channel in channels.items()}
+        numbers = {name: float(offset) for name, offset in offsets.items() if _is_number(offset)}
+        starts, undated = starts_by_date(stamps, numbers, path)
+        described: dict[str, Described] = {}
+        for name, channel in channels.items():
+            unit = str(next((channel.properties[key] for key in _UNITS if key in channel.properties), ""))
+            step = channel.properties.get("wf_increment")
+            rate_hz = float(f"{1.0 / float(step):.12g}") if _is_number(step) and step > 0 else None
+            described[name] = Described(len(channel), unit, rate_hz, starts.get(name))
+        contents = Contents.of("TDMS", described)
         if not names:
             return contents, {}, []
         check_budget(sum(8 * contents.samples[name] for name in names), settings)
-        columns: dict[str, FloatArray] = {}
-        for name in names:
-            values = np.asarray(channels[name][:])
-            columns[name] = values.astype(float_type_for(values.dtype), copy=False)
+        read = {name: np.asarray(channels[name][:]) for name in names}
+        columns = {name: values.astype(float_type_for(values.dtype), copy=False) for name, values in read.items()}
         stated = {name: len(channels[name]) for name in names}
         for name in names:  # with those that the last chunk states and lacks
             status = (file.file_status.channel_statuses or {}).get(channels[name].path)
@@ -300,16 +291,6 @@ def _graded(times: TimeColumn) -> list[QualityFlag]:
     return times.flags
 
 
-def _ide_channels(file: Any) -> Mapping[str, Any]:
-    """Values over time, by name, of the channels that hold any, of the first session."""
-    if len(file.sessions) > 1:
-        remedy = "Export each to a file of its own"
-        raise InputError(f"holds {len(file.sessions)} sessions", file=file.filename, remedy=remedy)
-    parts = [part for channel in file.channels.values() for part in channel.subchannels]
-    sessions = [(str(part.displayName or part.name), part.getSession()) for part in parts]
-    return by_distinct_name([(name, values) for name, values in sessions if len(values)])
-
-
 def _ide(
     parser: Any, path: Path, sources: Sequence[Source], settings: IngestSettings
 ) -> tuple[Contents, dict[str, FloatArray], list[Floats], dict[str, int]]:
@@ -319,7 +300,12 @@ def _ide(
     stamps: list[Floats] = []
     of_sensor: dict[str, int] = {}
     with parser(str(path), quiet=True) as file:
-        channels = _ide_channels(file)
+        if len(file.sessions) > 1:
+            remedy = "Export each to a file of its own"
+            raise InputError(f"holds {len(file.sessions)} sessions", file=file.filename, remedy=remedy)
+        parts = [part for channel in file.channels.values() for part in channel.subchannels]
+        sessions = [(str(part.displayName or part.name), part.getSession()) for part in parts]
+        channels = by_distinct_name([(name, values) for name, values in sessions if len(values)])
         doubt = 0.0
         for name, values in channels.items():
             unit = html.unescape(str(values.units[1])) if values.units else ""

@@ -119,7 +119,12 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     if not names:
         return contents.with_columns({}, ())
     flags += last_line_flags(path)
-    flags += [remark for column in wanted.values() if (remark := _missing(column, path)) is not None][:1]
+    for column in wanted.values():
+        declared, n_lines = column.segment.said("Samples", column.place), column.segment.n_lines
+        if declared.isdecimal() and len(declared) <= 18 and int(declared) > n_lines:
+            detail = f"the header promises {int(declared)} samples, {n_lines} are there"
+            flags.append(flag(path, "missing_data", "suspect", detail))
+            break
     columns = [read[wanted[name].segment.begin, wanted[name].place] for name in names.values()]
     return contents.with_columns(names, columns, attrs=attrs, flags=flags)
 
@@ -290,12 +295,3 @@ def _number(text: str) -> float | None:
     except ValueError:
         return None
     return value if np.isfinite(value) else None
-
-
-def _missing(column: _Column, path: Path) -> QualityFlag | None:
-    """Flag where the header promises more samples than there are lines."""
-    declared = column.segment.said("Samples", column.place)
-    if not declared.isdecimal() or len(declared) > 18 or int(declared) <= column.segment.n_lines:
-        return None
-    detail = f"the header promises {int(declared)} samples, {column.segment.n_lines} are there"
-    return flag(path, "missing_data", "suspect", detail)

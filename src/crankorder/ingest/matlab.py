@@ -68,9 +68,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         scalars = {name: float(values.item()) for name, values in arrays.items() if values.size == 1}
         names = names_of(sources, (*columns, *scalars), path).values()
         wanted = {name: columns[name] if name in columns else np.array([scalars[name]]) for name in names}
-        floats: dict[str, FloatArray] = {
-            name: values.astype(float_type_for(values.dtype)) for name, values in wanted.items()
-        }
+        floats = {name: values.astype(float_type_for(values.dtype)) for name, values in wanted.items()}
         return _contents(columns, scalars), floats, twice
 
     n_bytes = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)

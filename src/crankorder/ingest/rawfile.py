@@ -210,15 +210,13 @@ def part_of(n_samples: int, rows: slice | None) -> slice:
     return slice(first, max(first, last))
 
 
-def float_type_for(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
+def float_type_for(dtype: np.dtype[Any]) -> type[np.floating[Any]]:
     """The smaller of float32 and float64 that holds every number of ``dtype`` (integers or floats)."""
     small = dtype.itemsize <= 2 or (dtype.kind == "f" and dtype.itemsize == 4)
     return np.float32 if small else np.float64
 
 
-def rows_for(
-    kinds: Sequence[tuple[int, type[np.float32] | type[np.float64]]], *, in_memory_bytes: int
-) -> list[FloatArray]:
+def rows_for(kinds: Sequence[tuple[int, type[np.floating[Any]]]], *, in_memory_bytes: int) -> list[FloatArray]:
     """Row (samples,) to be filled for each of ``kinds``, pairs of a number of samples and a type.
 
     Rows of one kind are neighbours in one block. All lie on disk where together they exceed ``in_memory_bytes``. Raises

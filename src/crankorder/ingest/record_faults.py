@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -441,8 +442,7 @@ def _look_like_pulses(places: Ints, deviations: Floats) -> bool:
     return bool(np.std(heights) < 0.2 * abs(float(np.mean(heights))) or np.std(apart) < 0.3 * float(np.mean(apart)))
 
 
-@dataclass(frozen=True, slots=True)
-class Sampled:
+class Sampled(NamedTuple):
     """What the samples of a recording are: names, quantities and units by channel, their axis, and the shaft's speed.
 
     There are ``rate`` samples per ``unit`` ("s" or "rev"), the first at ``start``; ``rate_hz`` is NaN by crank angle;

@@ -359,7 +359,7 @@ def on_one_base(
     lowest_hz = min(bases[role].rate_hz for role in columns)
     grid = next(bases[role] for role in columns if bases[role].rate_hz == lowest_hz)
     told = {role: base for role, base in bases.items() if role in columns or role == ENCODER}
-    flags = _start_flags(bases, path, settings)
+    flags = list(_start_flags(bases, path, settings))
     if all(base == grid for base in told.values()):
         return grid, flags
     from crankorder.fft.resampling import reach_of, resampled  # heavy: of one base it is not wanted
@@ -387,15 +387,13 @@ def on_one_base(
     return base, [*flags, *_loss_flags(bases, moved, base, path)]
 
 
-def _start_flags(bases: Mapping[str, TimeBase], path: Path, settings: IngestSettings) -> list[QualityFlag]:
+def _start_flags(bases: Mapping[str, TimeBase], path: Path, settings: IngestSettings) -> Iterator[QualityFlag]:
     """Flag that says which of the ``bases`` begin later than the first of all, where any does."""
     first = min(bases, key=lambda role: bases[role].start_s)
     late = [role for role, base in bases.items() if base.place(bases[first].start_s, settings)]
-    if not late:
-        return []
-    lags = listed([f"{role} by {bases[role].start_s - bases[first].start_s:.9g} s" for role in late], 5)
-    detail = f"later than {first} start {lags}, as the file says: so they are taken"
-    return [flag(path, "start_times", "info", detail)]
+    if late:
+        lags = listed([f"{role} by {bases[role].start_s - bases[first].start_s:.9g} s" for role in late], 5)
+        yield flag(path, "start_times", "info", f"later than {first} start {lags}, as the file says: so they are taken")
 
 
 def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase, path: Path) -> Iterator[QualityFlag]:

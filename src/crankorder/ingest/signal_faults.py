@@ -258,8 +258,12 @@ def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSetti
         if n_flat < 2 * settings.clip_run_samples:
             continue
         flat = _runs(signal, at_extreme, least=settings.clip_run_samples)
-        step = _rounding_step(signal) if np.isnan(step) else step
-        if len(flat) and n_flat > _just_inside(signal, extreme, step):
+        if np.isnan(step):  # of the rounding: the least change from one sample to the next
+            changes = (np.abs(np.diff(signal[part.start : part.stop + 1])) for part in blocks(signal.size - 1))
+            step = min((float(steps.min(where=steps > 0, initial=np.inf)) for steps in changes), default=np.inf)
+        # within three steps lie more samples than at the extreme, unless the signal was cut off there
+        apart = (np.abs(signal[part] - extreme) for part in blocks(signal.size if len(flat) else 0))
+        if n_flat > sum(int(np.count_nonzero((off > 0.0) & (off < 3.5 * step))) for off in apart):
             cut_off.append(flat[_is_cut_off(signal, extreme, flat, step)])
     flat = joined(cut_off, n_samples=signal.size)
     if sum(map(len, cut_off)) < 2:
@@ -268,18 +272,6 @@ def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSetti
     is_bad = share > settings.max_clipped_fraction
     detail = f"{share:.3%} of its samples lie flat at {low:.6g} or {high:.6g}, first at sample {flat[0, 0]}"
     return [SignalFault("clipped", "bad" if is_bad else "suspect", detail, flat, is_lost=is_bad)]
-
-
-def _rounding_step(signal: FloatArray) -> float:
-    """Least change from one sample to the next."""
-    changes = (np.abs(np.diff(signal[part.start : part.stop + 1])) for part in blocks(signal.size - 1))
-    return min((float(steps.min(where=steps > 0, initial=np.inf)) for steps in changes), default=np.inf)
-
-
-def _just_inside(signal: FloatArray, extreme: float, step: float) -> int:
-    """Samples within three rounding steps of the extreme: more than at it, unless the signal was cut off there."""
-    apart = (np.abs(signal[part] - extreme) for part in blocks(signal.size))
-    return sum(int(np.count_nonzero((off > 0.0) & (off < 3.5 * step))) for off in apart)
 
 
 def _is_cut_off(signal: FloatArray, extreme: float, flat: Ints, step: float) -> Bools:

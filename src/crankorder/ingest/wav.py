@@ -110,7 +110,7 @@ def _header_of(path: Path, settings: IngestSettings) -> _Header:
     layout, found = b"", _Notes()
     start, length, is_open = -1, 0, False
     with path.open("rb") as stream:
-        declared = struct.unpack("<4sI", stream.read(8).ljust(8, b"\0"))[1] + 8
+        declared = _head(stream, 0)[1] + 8
         for number, (name, begin, n_bytes) in enumerate(_chunks(stream, size, declared)):
             if number > settings.max_objects:
                 raise UnsafeInputError(f"holds more than {settings.max_objects} chunks", remedy=_LEAVE_OUT)
