@@ -122,9 +122,7 @@ def column(values: ArrayLike, name: str) -> NDArray[Any]:
         found = f"{given.dtype} of shape {given.shape}"
         raise RequestError("must be real numbers, one for each sample", file=CALL, place=name, found=found)
     dtype = np.float32 if given.dtype in (np.float32, np.float16) else np.float64
-    if isinstance(values, np.ma.MaskedArray):
-        return np.asarray(np.ma.filled(values.astype(dtype), np.nan))
-    return np.array(given, dtype=dtype)
+    return np.asarray(np.ma.filled(given.astype(dtype), np.nan))
 
 
 def units_of(unit: str | Mapping[str, str], names: list[str]) -> dict[str, str]:

@@ -27,15 +27,13 @@ from crankorder.shaft.pulses import COUNTER_BITS
 from crankorder.shaft.speeds import speed_in_name
 from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
-MOTOR = (
-    "",
-    "# [motor]                         # where an induction motor drives: its slip and its lines are then named",
-    "# supply_hz = 50.0                # leave it out for a motor on a variable-speed drive",
-    "# poles = 4                       # poles, not pairs",
-    "# rotor_bars = 44",
-    "# shaft_ratio = 1.0               # turns of the motor per crank revolution",
-    "",
-)
+MOTOR = """
+# [motor]                         # where an induction motor drives: its slip and its lines are then named
+# supply_hz = 50.0                # leave it out for a motor on a variable-speed drive
+# poles = 4                       # poles, not pairs
+# rotor_bars = 44
+# shaft_ratio = 1.0               # turns of the motor per crank revolution
+"""
 """What a draft proposes that no file tells, as comments."""
 
 NO_ENCODER = (
@@ -147,22 +145,16 @@ def draft_manifest(folder: Path) -> str:
         columns = replace(columns, all=tuple(beside))
         encoder = _pulse_file(pulses, speeds.get(path.name))
     lines = [
-        "# Draft by `crankorder init`: decide what stands behind `# ?`.",
-        "schema_version = 1",
-        "",
-        "[test]",
+        "# Draft by `crankorder init`: decide what stands behind `# ?`.\nschema_version = 1\n\n[test]",
         f"name = {_text(folder.resolve().name)}",
         *_cycle(columns, path, knows_shaft=encoder is not NO_ENCODER),
         '# engine = "…"                    # a shipped engine, or a TOML file here: its forces are then known',
-        "",
-        "[recordings]",
-        _files(folder, pattern),
-        "",
+        f"\n[recordings]\n{_files(folder, pattern)}\n",
         *_sampling(columns, contents),
         *_channels(columns),
         *encoder,
         *(_stated_speeds(speeds) if 'kind = "constant"' in encoder and speeds else []),
-        *MOTOR,
+        MOTOR,
     ]
     scalars = [printable(name, 40) for name in contents.names if contents.samples.get(name) == 1]
     if scalars:
@@ -364,13 +356,9 @@ def _pulse_file(pulses: PulseFiles, stated: tuple[float, str] | None) -> list[st
     """Lines of an encoder whose pulses stand in files of their own."""
     per_rev = _pulses_per_rev(pulses.pulses_hz, stated)
     where = "at the stated speed" if per_rev else "how many of them make a revolution?"
-    return [
-        "[encoder]",
-        f"file = {_text(pulses.pulses)}",
-        f"source = {_shown(pulses.source)}",
-        'kind = "pulse_times"',
-        _asked(f"pulses_per_rev = {per_rev or 1}", f"{pulses.pulses_hz:.4g} pulses/s {where}"),
-    ]
+    source = f"file = {_text(pulses.pulses)}\nsource = {_shown(pulses.source)}"
+    told = _asked(f"pulses_per_rev = {per_rev or 1}", f"{pulses.pulses_hz:.4g} pulses/s {where}")
+    return ["[encoder]", source, 'kind = "pulse_times"', told]
 
 
 def _marks_by_wheel(columns: Columns, wheel: Wheel | None) -> Columns:
@@ -385,7 +373,7 @@ def _marks_by_wheel(columns: Columns, wheel: Wheel | None) -> Columns:
 
 
 def _stated_speeds(speeds: Mapping[str, tuple[float, str]]) -> list[str]:
-    lines = ["", "[recordings.speed_rpm]"]
+    lines = ["\n[recordings.speed_rpm]"]
     for name, (rpm, whence) in speeds.items():
         line = f"{_text(name)} = {rpm:.9g}"
         lines.append(_asked(line, whence) if whence.startswith("from") else f"{line.ljust(_MARK_COLUMN)}# {whence}")

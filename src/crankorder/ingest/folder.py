@@ -11,7 +11,7 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -231,13 +231,11 @@ def checksum_faults(
                 faults.append(InputError(problem, file=entry.path, remedy="Copy it again"))
             continue
         digest = sha256_of(wanted[path]) if sha256_of is not None and entry.algorithm == "sha256" else None
-        if digest is None:
-            try:
+        with suppress(OSError):  # what cannot be read has a fault of its own
+            if digest is None:
                 with path.open("rb") as stream:
                     digest = hashlib.file_digest(stream, entry.algorithm).hexdigest()
-            except OSError:
-                continue  # what cannot be read has a fault of its own
-        if digest.lower() != entry.digest.lower():
+        if digest is not None and digest.lower() != entry.digest.lower():
             faulty.add(path)
             problem = f"its {entry.algorithm.upper()} differs from {entry.by.name}: it was damaged or changed"
             remedy = "Copy it again from where it was recorded; where it was changed on purpose, renew the list"

@@ -156,9 +156,7 @@ def _columns_of(file: Any, settings: IngestSettings) -> dict[str, _Column]:
             if link == h5py.h5l.TYPE_EXTERNAL:
                 place, remedy = f"{group.name.rstrip('/')}/{key}", "Write the samples into the file itself"
                 raise UnsafeInputError("links to another file, which is never followed", place=place, remedy=remedy)
-            if link != h5py.h5l.TYPE_HARD:
-                continue
-            child = group[key]
+            child = group[key] if link == h5py.h5l.TYPE_HARD else None
             if isinstance(child, h5py.Group):
                 stack.append((child, depth + 1))
             elif isinstance(child, h5py.Dataset):

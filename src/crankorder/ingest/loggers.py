@@ -248,12 +248,12 @@ def _mdf(parser: Any, path: Path, wanted: dict[str, _Place]) -> dict[str, FloatA
             if place.number >= 0:
                 column = _samples(file, channels[place.number].name, place.group, place.number)
                 assert column is not None  # its first sample was a real number
-                columns[name] = column
-                continue
-            master = channels[file.masters_db[place.group]]
-            stamps = np.asarray(file.get_master(place.group), dtype=np.float64)
-            radians = place.unit == "deg" and str(master.unit).strip().lower() in ("rad", "radian", "radians", "")
-            columns[name] = np.rad2deg(stamps) if radians else stamps
+            else:
+                stated = str(channels[file.masters_db[place.group]].unit).strip().lower()
+                column = np.asarray(file.get_master(place.group), dtype=np.float64)
+                if place.unit == "deg" and stated in ("rad", "radian", "radians", ""):
+                    column = np.rad2deg(column)
+            columns[name] = column
     return columns
 
 
@@ -320,10 +320,9 @@ def _ide(
         for name in chosen:
             times, values = channels[name].arraySlice()
             columns[name] = np.array(values, dtype=np.float64)
-            if values.size < 3:
-                continue
-            times_s = _US * np.array(times, dtype=np.float64)
-            alike = (place for place, other in enumerate(stamps) if np.array_equal(other, times_s))
-            of_sensor[name] = next(alike, len(stamps))
-            stamps += [times_s] if of_sensor[name] == len(stamps) else []
+            if values.size >= 3:
+                times_s = _US * np.array(times, dtype=np.float64)
+                alike = (place for place, other in enumerate(stamps) if np.array_equal(other, times_s))
+                of_sensor[name] = next(alike, len(stamps))
+                stamps += [times_s] if of_sensor[name] == len(stamps) else []
     return Contents.of("IDE", described, rate_uncertainty=doubt), columns, stamps, of_sensor

@@ -179,8 +179,7 @@ def _rate_hz(scalars: Mapping[str, float], name: str) -> float | None:
     """
     stated = {key: rate for key, value in scalars.items() if (rate := _stated_hz(key, value)) is not None}
     group = name.rpartition(".")[0]
-    beside = [rate for key, rate in stated.items() if key.rpartition(".")[0] == group]
-    rates = beside or list(stated.values())
+    rates = [rate for key, rate in stated.items() if key.rpartition(".")[0] == group] or list(stated.values())
     return rates[0] if rates and max(rates) - min(rates) <= 1e-6 * rates[0] else None
 
 

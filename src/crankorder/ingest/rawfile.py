@@ -70,15 +70,13 @@ class Contents:
     @classmethod
     def of(cls, kind: str, columns: Mapping[str, Described], *, rate_uncertainty: float = 0.0) -> Contents:
         """Contents of a file of the format ``kind`` with ``columns`` by name; ``rate_uncertainty`` is relative."""
-        return cls(
-            kind,
-            tuple(columns),
-            {name: column.n_samples for name, column in columns.items() if column.n_samples is not None},
-            {name: column.unit for name, column in columns.items() if column.unit},
-            {name: column.rate_hz for name, column in columns.items() if column.rate_hz is not None},
-            {name: column.start_s for name, column in columns.items() if column.start_s is not None},
-            rate_uncertainty,
-        )
+
+        def told(field: str) -> dict[str, Any]:
+            values = {name: getattr(column, field) for name, column in columns.items()}
+            return {name: value for name, value in values.items() if value not in (None, "")}
+
+        samples, units, rates, starts = told("n_samples"), told("unit"), told("rate_hz"), told("start_s")
+        return cls(kind, tuple(columns), samples, units, rates, starts, rate_uncertainty)
 
     def with_columns(self, names: Mapping[Source, str], columns: Iterable[FloatArray], **further: Any) -> RawFile:
         """RawFile of the ``columns`` (samples,) that were asked for, with unit, rate and start of each from here.
@@ -254,5 +252,4 @@ def stacked(rows: Sequence[FloatArray]) -> FloatArray:
         own = (row.base is base and row.ctypes.data == at.ctypes.data for row, at in zip(rows, block, strict=False))
         if block.shape == (len(rows), rows[0].size) and all(own):
             return block
-    together: FloatArray = empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows))
-    return np.stack(rows, out=together)
+    return np.stack(rows, out=empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows)))

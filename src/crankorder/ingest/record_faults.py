@@ -251,9 +251,8 @@ def find_level_steps(channels: Sequence[_Channel], *, settings: IngestSettings) 
         if scatter > _AGREE * abs(step) or moved > _AGREE * abs(step) or abrupt < 0.7 * abs(step):
             continue
         span = spans_of((at * group * surveys[number].size, surveys[number].n_samples))
-        detail = (
-            f"the level changes by a factor of {np.exp(step):.3g} at once, that of the others does not: gain or seat"
-        )
+        change = f"the level changes by a factor of {np.exp(step):.3g} at once"
+        detail = f"{change}, that of the others does not: gain or seat"
         channels[number].faults.append(SignalFault("level_step", "suspect", detail, span))
 
 
@@ -263,8 +262,7 @@ def _largest_step(level: np.ndarray) -> tuple[int, float]:
     total = np.cumsum(level)
     before = total[splits - 1] / splits
     after = (total[-1] - total[splits - 1]) / (len(level) - splits)
-    gain = np.square(after - before) * splits * (len(level) - splits)
-    best = int(np.argmax(gain))
+    best = int(np.argmax(np.square(after - before) * splits * (len(level) - splits)))
     return int(splits[best]), float(after[best] - before[best])
 
 
@@ -289,17 +287,14 @@ def find_smoothed_clipping(channel: _Channel, *, settings: IngestSettings) -> No
     share = sum(share for _, _, share, _ in plateaus)
     quiet = all(roughness < settings.quiet_plateau for *_, roughness in plateaus)
     is_sure = channel.is_vibration and len(plateaus) == 2 and quiet
-    detail = (
-        f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later: cut off before "
-        "the filter, so odd multiples of its lines may be made up"
-    )
+    seen = f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later"
+    detail = f"{seen}: cut off before the filter, so odd multiples of its lines may be made up"
     channel.faults.append(SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure))
 
 
 def _strongest(signal: FloatArray, survey: Survey) -> FloatArray:
     """Samples of the pieces with the largest mean square."""
-    group = _PIECE // survey.size
-    power = grouped(survey.variances + np.square(survey.means - np.nanmean(survey.means)), group)
+    power = grouped(survey.variances + np.square(survey.means - np.nanmean(survey.means)), _PIECE // survey.size)
     power = np.where(np.isfinite(power), power, -1.0)
     chosen = np.sort(np.argsort(power)[-_STRONGEST:])
     chosen = chosen[power[chosen] > 0.0]

@@ -100,13 +100,9 @@ def recording_of(
     of = _File(path, manifest, settings, flags)
     times = of.times(raw)
     raw = raw if times is None else _on_grid(raw, times, manifest)
-    bases, file_hz = bases_of(
-        manifest.sampled,
-        {source: row.size for source, row in raw.columns.items()},
-        raw if manifest.sampling.domain == "time" else RawFile(raw.columns),
-        len(manifest.channels),
-        tolerance=settings.rate_tolerance,
-    )
+    samples, n_channels = {source: row.size for source, row in raw.columns.items()}, len(manifest.channels)
+    timed = raw if manifest.sampling.domain == "time" else RawFile(raw.columns)
+    bases, file_hz = bases_of(manifest.sampled, samples, timed, n_channels, tolerance=settings.rate_tolerance)
     recording = of.axis(raw, file_hz, times)
     rate_hz = recording.number("rate_hz")
     check_bands(manifest.limits, rate_hz, path)
@@ -154,12 +150,10 @@ def _on_grid(raw: RawFile, times: TimeColumn, manifest: Manifest) -> RawFile:
 def _sampled(recording: Gathered, manifest: Manifest, scalings: Sequence[Scaling]) -> Sampled:
     """How the signals of ``recording`` were sampled, and at which speed, for a look at their faults."""
     by_angle = manifest.sampling.domain == "crank_angle"
+    scaled = zip(manifest.channels, scalings, strict=True)
     return Sampled(
         names=[channel.name for channel in manifest.channels],
-        quantities=[
-            scaling.unit.quantity if scaling.integrals else channel.measured_quantity
-            for channel, scaling in zip(manifest.channels, scalings, strict=True)
-        ],
+        quantities=[at.unit.quantity if at.integrals else channel.measured_quantity for channel, at in scaled],
         units=[scaling.unit.name for scaling in scalings],
         rate=recording.number("samples_per_rev" if by_angle else "rate_hz"),
         start=recording.number("start_deg") / 360.0 if by_angle else recording.number("start_s", 0.0),
@@ -266,11 +260,9 @@ class _File:
         scaling = file_to_analysed(channel, file_unit, self.path)
         stated = channel.sensitivity is not None or channel.offset is not None or file_unit not in STATES_NO_UNIT
         if not stated and channel.analysed_unit.quantity not in MAY_HAVE_LEVELS and looks_counted(signal):
-            detail = (
-                f"channel {channel.name}: whole numbers without unit or scale in the file, taken as {channel.unit}: "
-                'if they are counts of a converter, state unit = "counts" or a sensitivity'
-            )
-            self.flag("counts_without_unit", "suspect", detail)
+            taken = f"channel {channel.name}: whole numbers without unit or scale in the file, taken as {channel.unit}"
+            remedy = 'if they are counts of a converter, state unit = "counts" or a sensitivity'
+            self.flag("counts_without_unit", "suspect", f"{taken}: {remedy}")
         if scaling.remark:
             self.flag("unit_unknown", "info", scaling.remark)
         if scaling.offset != 0.0:
@@ -303,12 +295,10 @@ class _File:
             raise InputError(problem, file=self.path, place=place, found=found, allowed=allowed, remedy=remedy)
         integral = integrated(signal, rate_hz, times=scaling.integrals, highpass_hz=highpass_hz, half_octaves=octaves)
         signal[:] = integral * (scaling.unit.factor / channel.analysed_unit.factor)
-        detail = (
-            f"channel {channel.name}: {channel.measured_quantity} in {channel.analysed_unit.name} integrated from "
-            f"{scaling.unit.quantity}, high-pass {highpass_hz:g} Hz; "
-            f"the first and last {faded_samples(len(signal), rate_hz, highpass_hz) / rate_hz:.2g} s are left out"
-        )
-        self.flag("integrated", "info", detail)
+        faded_s = faded_samples(len(signal), rate_hz, highpass_hz) / rate_hz
+        made = f"{channel.measured_quantity} in {channel.analysed_unit.name} integrated from {scaling.unit.quantity}"
+        ends = f"high-pass {highpass_hz:g} Hz; the first and last {faded_s:.2g} s are left out"
+        self.flag("integrated", "info", f"channel {channel.name}: {made}, {ends}")
 
 
 def _with_signals(

@@ -406,9 +406,7 @@ def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase,
         yield flag(path, "recording_cut", "suspect", detail)
     if moved:
         rates = listed([f"{role} of {bases[role].rate_hz:.9g} Hz" for role in moved], 5)
-        detail = (
-            f"{rates}: resampled to {base.rate_hz:.9g} Hz and the times of another channel; "
-            f"what lies above {PASS * base.rate_hz:.6g} Hz is lost"
-        )
+        lost = f"what lies above {PASS * base.rate_hz:.6g} Hz is lost"
+        detail = f"{rates}: resampled to {base.rate_hz:.9g} Hz and the times of another channel; {lost}"
         slower = any(bases[role].rate_hz != base.rate_hz for role in moved)
         yield flag(path, "channels_resampled", "suspect" if slower else "info", detail)

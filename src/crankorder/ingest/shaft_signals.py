@@ -257,8 +257,7 @@ class ShaftSignals:
             return times - self.base.start_s, 0.0
         step_s = float(np.spacing(np.float32(np.abs(times).max())))
         detail = f"{source}: times in float32 tell no more than {step_s:.2g} s: keep them in float64"
-        how: Severity = "suspect" if step_s > _FINE_STEP_S else "info"
-        self._flag("pulse_times_single_precision", how, detail)
+        self._flag("pulse_times_single_precision", "suspect" if step_s > _FINE_STEP_S else "info", detail)
         return times - self.base.start_s, step_s / math.sqrt(12.0)
 
     def _speed(self) -> Floats:

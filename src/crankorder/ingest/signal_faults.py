@@ -224,22 +224,18 @@ def _without(signal: FloatArray, missing: Ints, settings: IngestSettings) -> Ite
             for start, end in missing:
                 signal[start:end] = np.nan
             first = missing[np.argmax(lengths), 0]
-            detail = (
-                f"{total} samples are missing (not a number, infinite or a fill value), most from sample {first}: "
-                f"{count / signal.size:.3%} {how}, allowed {most:.1%}"
-            )
-            yield SignalFault("gap", "bad", detail, is_lost=True)
+            lacks = f"{total} samples are missing (not a number, infinite or a fill value), most from sample {first}"
+            share = f"{count / signal.size:.3%} {how}, allowed {most:.1%}"
+            yield SignalFault("gap", "bad", f"{lacks}: {share}", is_lost=True)
             return
     for start, end in gaps:
         signal[start:end] = np.nan
     if len(gaps):
         lengths = lengths_of(gaps)
-        detail = (
-            f"{lengths.sum()} samples ({lengths.sum() / signal.size:.2%}) missing in {len(gaps)} "
-            f"gap{'s' * (len(gaps) > 1)}, the longest of {lengths.max()} from sample {gaps[np.argmax(lengths), 0]}; "
-            "what touches a gap is left out"
-        )
-        yield SignalFault("gap", "suspect", detail, gaps)
+        share = f"{lengths.sum()} samples ({lengths.sum() / signal.size:.2%})"
+        where = f"{len(gaps)} gap{'s' * (len(gaps) > 1)}, the longest of {lengths.max()}"
+        first = f"from sample {gaps[np.argmax(lengths), 0]}; what touches a gap is left out"
+        yield SignalFault("gap", "suspect", f"{share} missing in {where} {first}", gaps)
     if len(short):
         for start, end in short:
             beside = [place for place in (start - 1, end) if 0 <= place < signal.size]

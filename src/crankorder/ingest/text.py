@@ -113,12 +113,11 @@ def _separation(line: str) -> tuple[str, bool] | None:
     """Separator of a line of numbers, and whether its decimals stand after a comma; None for other lines."""
     for separator in _SEPARATORS:
         fields = _fields(line, separator)
-        if all(_NUMBER.fullmatch(field) for field in fields):
+        if all(map(_NUMBER.fullmatch, fields)):
             return separator, False
         # "1,2" alone is two columns by comma; with another separator in the line it is a decimal comma
-        if separator == "," or len(fields) < 2:
-            continue
-        if all(_NUMBER.fullmatch(field.replace(",", ".", 1)) for field in fields):
+        may_be_decimal = separator != "," and len(fields) > 1
+        if may_be_decimal and all(_NUMBER.fullmatch(field.replace(",", ".", 1)) for field in fields):
             return separator, True
     return None
 
