@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from crankorder.errors import EnvironmentFailure, InputError, UnsafeInputError, located
 from crankorder.ingest.folder import check_regular
@@ -54,8 +53,7 @@ _UNREAD_SIGNS: tuple[tuple[bytes, str, str], ...] = (
 )
 
 
-@dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """A format that is read: its ``name``, its ``reader`` (``module.function`` of this room) and its recognition.
 
     ``told_by`` takes the file's path and first bytes. The reader (path, sources, settings → RawFile) is imported when

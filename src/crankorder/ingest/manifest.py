@@ -21,11 +21,11 @@ from pydantic import field_validator as field_check
 
 from crankorder.engine.machine_parts import AddedMass, Bearing, Motor, StatedPath, bearing_orders, stated
 from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, told
-from crankorder.ingest.channel import Channel as Channel
-from crankorder.ingest.channel import Limit, Rotor, channel_faults, limit_faults
+from crankorder.ingest.channel import Channel, Limit, Rotor, channel_faults, limit_faults
 from crankorder.ingest.encoder_table import (
     NAMED_PART,
     TIME_KINDS,
+    TRACE_KINDS,
     Count,
     Encoder,
     Name,
@@ -37,7 +37,6 @@ from crankorder.ingest.encoder_table import (
     encoder_faults,
     optional,
 )
-from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
 from crankorder.ingest.units import Unit
 
 _KEY = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"

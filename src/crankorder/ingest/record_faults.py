@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -89,11 +89,8 @@ MAY_HAVE_LEVELS = frozenset(
 )
 """Quantities of which a signal may stand at a few levels."""
 
-_IMPACTS = frozenset({"force"})
 
-
-@dataclass(frozen=True, slots=True)
-class _Channel:
+class _Channel(NamedTuple):
     """A channel of a recording: its ``samples`` (sample,) and what short blocks of them hold; ``faults`` take more.
 
     ``size`` is the root mean square, NaN where too much is missing.
@@ -513,7 +510,7 @@ def _judge(
     told = (sampled.names, sampled.quantities, sampled.units, signals, surveys, sizes, faults)
     channels = list(map(_Channel, *told))
     for channel in (channel for channel in channels if channel.is_left):
-        if channel.quantity not in _IMPACTS and not any(fault.flag == "clipped" for fault in channel.faults):
+        if channel.quantity != "force" and not any(fault.flag == "clipped" for fault in channel.faults):
             find_spikes(channel, settings=settings)
         if channel.is_vibration:
             channel.faults.extend(find_slow_faults(channel.survey, settings=settings))

@@ -6,7 +6,7 @@ import difflib
 import math
 import re
 import unicodedata
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from crankorder.errors import RequestError
 from crankorder.settings import STANDARD_GRAVITY_M_S2
@@ -78,8 +78,7 @@ _SUFFIX = re.compile(
 _TIME_SUFFIX = re.compile(r"(?:time|zeit|t|timestamp|time[ _.-]stamp)[ _.-]*(ms|us|µs|sec|s|seconds)", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True)
-class Unit:
+class Unit(NamedTuple):
     """One unit: its spelling in results, the quantity that it measures, and SI base units per one of it."""
 
     name: str
@@ -87,8 +86,7 @@ class Unit:
     factor: float
 
 
-@dataclass(frozen=True, slots=True)
-class Sensitivity:
+class Sensitivity(NamedTuple):
     """Output of a sensor per unit of what it measures, both in SI base units."""
 
     output: Unit

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -49,8 +49,7 @@ _SPEAKS_OF_SCALE = re.compile(
 _TAIL_BYTES = 4_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class _Channel:
+class _Channel(NamedTuple):
     """What a calibration says of a channel: its name, its unit, and the ``scale`` of a full-scale sample in that."""
 
     name: str
@@ -267,7 +266,7 @@ def _checked(
     channels = channels or (_Channel(""),) * n_channels
     names = {channel.name for channel in channels}
     if len(names) < n_channels or "" in names:
-        channels = tuple(replace(channel, name=str(number)) for number, channel in enumerate(channels))
+        channels = tuple(channel._replace(name=str(number)) for number, channel in enumerate(channels))
     return _Header(layout, data_start, n_present, channels, flags)
 
 
