@@ -42,6 +42,7 @@ NO_ENCODER = (
     '# kind = "constant"               #   with speed_rpm = 1500.0',
     '# kind = "vibration"              #   the speed is then read off the signals, with expected_rpm = [600, 3000]',
 )
+"""What a draft says of the shaft where no file tells it."""
 
 _SPECTRUM = re.compile(r"(^|[^a-z])(fft|spectrum|spectra|psd|frf)([^a-z]|$)", re.I)
 

@@ -478,13 +478,17 @@ def judged(
             ]
     if n_samples >= settings.fewest_samples:
         _judge(signals, faults, sampled, settings)
-    lost = [_lost(own, n_samples, sampled, settings) for own in faults]
+    whole = spans_of((0, n_samples))
+    # samples that take no part in averages, with a margin about each stretch
+    margin = max(round(settings.lost_margin_s * sampled.rate_hz), 1) if math.isfinite(sampled.rate_hz) else 1
+    spans = ([whole if fault.loses_all else fault.at for fault in own if fault.is_lost] for own in faults)
+    lost = [joined(each, within=margin, n_samples=n_samples) for each in spans]
     is_out = [_is_out(runs, n_samples, settings) for runs in lost]
     about = f"with {settings.lost_margin_s:g} s about each" if math.isfinite(sampled.rate_hz) else "in all"
     flags, allowed = list[QualityFlag](), 100.0 * settings.max_lost_fraction
     for number, (name, own) in enumerate(zip(sampled.names, faults, strict=True)):
         if not all(is_out):
-            for start, end in spans_of((0, n_samples)) if is_out[number] else lost[number]:
+            for start, end in whole if is_out[number] else lost[number]:
                 signals[number, start:end] = np.nan
         percent = 100.0 * int(lengths_of(lost[number]).sum()) / n_samples
         share = f": {about}, {percent:.2g} % of the channel is lost; allowed: {allowed:g} % between its ends"
@@ -523,13 +527,6 @@ def _judge(
         find_dead(vibrating, settings=settings)
         find_level_steps(vibrating, settings=settings)
         find_mains_only(vibrating, sampled.rate_hz, sampled.shaft_hz, settings=settings)
-
-
-def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: IngestSettings) -> Ints:
-    """Samples that take no part in averages, with a margin about each stretch."""
-    margin = max(round(settings.lost_margin_s * sampled.rate_hz), 1) if math.isfinite(sampled.rate_hz) else 1
-    lost = [spans_of((0, n_samples)) if fault.loses_all else fault.at for fault in own if fault.is_lost]
-    return joined(lost, within=margin, n_samples=n_samples)
 
 
 def _is_out(lost: Ints, n_samples: int, settings: IngestSettings) -> bool:

@@ -51,8 +51,8 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
         raw = read_checked(path, manifest, sources=_wanted(manifest), settings=settings)
         return recording_of(raw, path, manifest, settings=settings, shaft=shaft)
     check_regular(pulses, path.parent)
-    listed = read_file(pulses, sources=_of_encoder(manifest), settings=settings)
-    raw = read_file(path, sources=_of_samples(manifest), settings=settings)
+    listed = read_file(pulses, sources=_wanted(manifest, of_samples=False), settings=settings)
+    raw = read_file(path, sources=_wanted(manifest, of_shaft=False), settings=settings)
     return recording_of(raw, path, manifest, settings=settings, shaft=shaft, listed=listed)
 
 
@@ -177,28 +177,22 @@ def _mean_speed_hz(recording: Gathered) -> float:
     return float((times.size - 1) / (times[-1] - times[0]) / recording.teeth / recording.number("ratio", 1.0))
 
 
-def _wanted(manifest: Manifest) -> list[Source]:
-    """Sources to read, each once: channels first, so that they are neighbours in memory."""
-    channels = [channel.file_source for channel in manifest.channels]
-    return list(dict.fromkeys([*channels, *_of_encoder(manifest), *_of_samples(manifest)]))
+def _wanted(manifest: Manifest, *, of_samples: bool = True, of_shaft: bool = True) -> list[Source]:
+    """Sources to read, each once: channels first, so that they are neighbours in memory, and the times last.
 
-
-def _of_samples(manifest: Manifest) -> list[Source]:
-    """Sources of the channels and of their times."""
-    sources: list[Source | None] = [channel.file_source for channel in manifest.channels]
-    if manifest.sampling.domain == "time":
-        sources.append(manifest.sampling.time_source)
-    return list(dict.fromkeys(source for source in sources if source is not None))
-
-
-def _of_encoder(manifest: Manifest) -> list[Source]:
-    """Sources of the encoder and its marks; of a file of its own its times too."""
-    encoder = manifest.encoder
-    sources = [encoder.source] if encoder.kind == "constant" else []
-    if encoder.kind not in SOURCELESS_KINDS:
-        sources = [encoder.source, encoder.second_track, encoder.index, encoder.cam]
-    if encoder.file is not None:
+    ``of_samples``: those of the channels and of their times; ``of_shaft``: those of the encoder and its marks, and of
+    its times where it is a file of its own.
+    """
+    encoder, sampling = manifest.encoder, manifest.sampling
+    sources: list[Source | None] = [channel.file_source for channel in manifest.channels] if of_samples else []
+    if of_shaft and encoder.kind not in SOURCELESS_KINDS:
+        sources += [encoder.source, encoder.second_track, encoder.index, encoder.cam]
+    elif of_shaft and encoder.kind == "constant":
+        sources.append(encoder.source)
+    if of_shaft and encoder.file is not None:
         sources.append(encoder.time_source)
+    if of_samples and sampling.domain == "time":
+        sources.append(sampling.time_source)
     return list(dict.fromkeys(source for source in sources if source is not None))
 
 

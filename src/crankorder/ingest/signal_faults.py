@@ -258,8 +258,8 @@ def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSetti
             changes = (np.abs(np.diff(signal[part.start : part.stop + 1])) for part in blocks(signal.size - 1))
             step = min((float(steps.min(where=steps > 0, initial=np.inf)) for steps in changes), default=np.inf)
         # within three steps lie more samples than at the extreme, unless the signal was cut off there
-        apart = (np.abs(signal[part] - extreme) for part in blocks(signal.size if len(flat) else 0))
-        if n_flat > sum(int(np.count_nonzero((off > 0.0) & (off < 3.5 * step))) for off in apart):
+        apart = (np.abs(signal[part] - extreme) for part in blocks(signal.size))
+        if len(flat) and n_flat > sum(int(np.count_nonzero((off > 0.0) & (off < 3.5 * step))) for off in apart):
             cut_off.append(flat[_is_cut_off(signal, extreme, flat, step)])
     flat = joined(cut_off, n_samples=signal.size)
     if sum(map(len, cut_off)) < 2:
