@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -35,21 +36,27 @@ def columns_of(signals: Signals) -> dict[str, NDArray[Any]]:
     """
     if is_timeseries(signals):
         return _by_name((series["name"], series["data"]) for series in signals)
+    if isinstance(signals, xr.DataArray) and signals.ndim == 1:
+        return _by_name([(signals.name or "signal", signals.values)])
     if isinstance(signals, xr.DataArray):
-        return _of_data_array(signals)
+        if "channel" not in signals.dims or signals.ndim != 2:
+            allowed = "one dimension, or two with one that is called channel"
+            raise RequestError("the signals have the wrong dimensions", file=CALL, found=signals.dims, allowed=allowed)
+        rows = signals.transpose("channel", ...)
+        return _by_name(zip(rows["channel"].values, rows.values, strict=True))
     if hasattr(signals, "items") and hasattr(signals, "keys") and not hasattr(signals, "to_frame"):
         return _by_name(signals.items())
     allowed = "(samples,) or (channels, samples)"
     try:
-        rows = np.atleast_2d(signals if isinstance(signals, np.ma.MaskedArray) else np.asarray(signals))
+        table = np.atleast_2d(signals if isinstance(signals, np.ma.MaskedArray) else np.asarray(signals))
     except ValueError as error:
         raise RequestError("the channels differ in length", file=CALL, found=error, allowed=allowed) from None
-    if rows.ndim != 2:
-        raise RequestError("the signals have the wrong shape", file=CALL, found=rows.shape, allowed=allowed)
-    if len(rows) > rows.shape[1]:
+    if table.ndim != 2:
+        raise RequestError("the signals have the wrong shape", file=CALL, found=table.shape, allowed=allowed)
+    if len(table) > table.shape[1]:
         remedy = "Give signals.T where each column is a channel"
-        raise RequestError("more channels than samples", file=CALL, found=rows.shape, allowed=allowed, remedy=remedy)
-    return _by_name((f"signal {place + 1}" if len(rows) > 1 else "signal", row) for place, row in enumerate(rows))
+        raise RequestError("more channels than samples", file=CALL, found=table.shape, allowed=allowed, remedy=remedy)
+    return _by_name((f"signal {place + 1}" if len(table) > 1 else "signal", row) for place, row in enumerate(table))
 
 
 def _by_name(named: Iterable[tuple[object, ArrayLike]]) -> dict[str, NDArray[Any]]:
@@ -105,17 +112,6 @@ def told_by_timeseries(
     return first, {str(series["name"]): str(series["unit_str"]).strip() or DEFAULT_UNIT for series in signals}
 
 
-def _of_data_array(signals: xr.DataArray) -> dict[str, NDArray[Any]]:
-    """Channels of a DataArray by the names of its coordinate ``channel``, else by its own name."""
-    if signals.ndim == 1:
-        return _by_name([(signals.name or "signal", signals.values)])
-    if "channel" not in signals.dims or signals.ndim != 2:
-        allowed = "one dimension, or two with one that is called channel"
-        raise RequestError("the signals have the wrong dimensions", file=CALL, found=signals.dims, allowed=allowed)
-    rows = signals.transpose("channel", ...)
-    return _by_name(zip(rows["channel"].values, rows.values, strict=True))
-
-
 def column(values: ArrayLike, name: str) -> NDArray[Any]:
     """A copy (samples,), float32 or float64, of ``values`` (samples,), called ``name``; masked values become NaN.
 
@@ -126,9 +122,7 @@ def column(values: ArrayLike, name: str) -> NDArray[Any]:
         found = f"{given.dtype} of shape {given.shape}"
         raise RequestError("must be real numbers, one for each sample", file=CALL, place=name, found=found)
     dtype = np.float32 if given.dtype in (np.float32, np.float16) else np.float64
-    if isinstance(values, np.ma.MaskedArray):
-        return np.asarray(np.ma.filled(values.astype(dtype), np.nan))
-    return np.array(given, dtype=dtype)
+    return np.asarray(np.ma.filled(given.astype(dtype), np.nan))
 
 
 def units_of(unit: str | Mapping[str, str], names: list[str]) -> dict[str, str]:
@@ -149,13 +143,10 @@ def units_of(unit: str | Mapping[str, str], names: list[str]) -> dict[str, str]:
 
 def number(value: Any, name: str) -> float:
     """``value`` of the argument ``name`` as a finite number; raises RequestError where it is none."""
-    try:
-        finite = float(value) if not isinstance(value, str) else np.nan
-    except (TypeError, ValueError):
-        finite = np.nan
-    if not np.isfinite(finite):
-        raise RequestError("must be a finite number", file=CALL, place=name, found=repr(value))
-    return finite
+    with suppress(TypeError, ValueError):
+        if not isinstance(value, str) and np.isfinite(float(value)):
+            return float(value)
+    raise RequestError("must be a finite number", file=CALL, place=name, found=repr(value))
 
 
 def count(value: Any, name: str) -> int:

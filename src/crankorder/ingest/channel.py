@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
-from pydantic import Field, ValidationInfo, WithJsonSchema
+from pydantic import ValidationInfo, WithJsonSchema
 from pydantic import field_validator as field_check
 
+from crankorder.engine.machine_parts import stated
 from crankorder.errors import InputError, RequestError
-from crankorder.ingest.encoder_table import Name, Positive, Source, Table
+from crankorder.ingest.encoder_table import Name, Positive, Source, Table, optional
 from crankorder.ingest.units import (
     Unit,
     base_unit,
@@ -33,50 +33,31 @@ STATES_NO_UNIT = ("", "1", "-", "EU", "n/a", "none")
 class Channel(Table):
     """``[[channels]]``: one analysed signal."""
 
-    name: Name = Field(description="What results and pictures call the channel.", examples=["Z"])
-    unit: str = Field(
-        description="Unit of the analysed signal: m/s2, g, mm/s, um, Pa, bar, N, Nm, V, 1 and others.",
-        examples=["m/s2"],
+    name: Name = stated("What results and pictures call the channel.", "Z")
+    unit: str = stated("Unit of the analysed signal: m/s2, g, mm/s, um, Pa, bar, N, Nm, V, 1 and others.", "m/s2")
+    source: Source | None = optional(
+        "Dataset, column name, pattern with * or column number from 0; the name where left out.", "acc_z"
     )
-    source: Source | None = Field(
-        default=None,
-        description="Dataset, column name, pattern with * or column number from 0; the name where left out.",
-        examples=["acc_z"],
-    )
-    quantity: str = Field(
-        default="",
-        description="What is analysed, where the unit does not tell; it must agree with the unit. A pressure in Pa is "
+    quantity: str = stated(
+        "What is analysed, where the unit does not tell; it must agree with the unit. A pressure in Pa is "
         "that of a microphone, in bar or kPa a cylinder's, where none is stated. A velocity or a "
         "displacement is integrated from an acceleration that the file's unit, sensitivity or measured_unit states.",
-        examples=["cylinder pressure"],
-    )
-    measured_unit: str | None = Field(
-        default=None,
-        description="Unit of what the file holds, where it does not say: of a quantity that is to be integrated.",
-        examples=["g"],
-    )
-    highpass_hz: Positive | None = Field(
-        default=None,
-        description="Frequency below which an integrated channel holds nothing: half of the power passes there.",
-        examples=[2.0],
-    )
-    sensitivity: str | None = Field(
-        default=None,
-        description="Output of the sensor per unit, where the file holds volts or the like.",
-        examples=["100 mV/g"],
-    )
-    full_scale_v: Positive | None = Field(
-        default=None, description="Volts at full scale of a file that holds shares of it (WAV).", examples=[10.0]
-    )
-    offset: str | None = Field(
-        default=None,
-        description="What is taken off the file's values before they are scaled, with its unit.",
-        examples=["2.5 V"],
-    )
-    direction: str = Field(
+        "cylinder pressure",
         default="",
-        description="Axis that the sensor looks along: X across the crankshaft, Y along it, Z along the cylinder.",
-        examples=["+Z"],
+    )
+    measured_unit: str | None = optional(
+        "Unit of what the file holds, where it does not say: of a quantity that is to be integrated.", "g"
+    )
+    highpass_hz: Positive | None = optional(
+        "Frequency below which an integrated channel holds nothing: half of the power passes there.", 2.0
+    )
+    sensitivity: str | None = optional(
+        "Output of the sensor per unit, where the file holds volts or the like.", "100 mV/g"
+    )
+    full_scale_v: Positive | None = optional("Volts at full scale of a file that holds shares of it (WAV).", 10.0)
+    offset: str | None = optional("What is taken off the file's values before they are scaled, with its unit.", "2.5 V")
+    direction: str = stated(
+        "Axis that the sensor looks along: X across the crankshaft, Y along it, Z along the cylinder.", "+Z", default=""
     )
 
     @field_check("unit", "measured_unit")
@@ -122,8 +103,7 @@ class Channel(Table):
         return max(0, DERIVATIVE[source.quantity] - DERIVATIVE[wanted])
 
 
-@dataclass(frozen=True, slots=True)
-class Scaling:
+class Scaling(NamedTuple):
     """Offset in the file's unit and factor to ``unit``; ``remark`` tells of a unit that was not understood.
 
     ``unit`` is the analysed one, or the measured one where the channel is to be integrated ``integrals`` times.
@@ -141,47 +121,37 @@ def file_to_analysed(channel: Channel, file_unit: str, path: Path) -> Scaling:
 
     Raises InputError where the file's unit can become neither the sensitivity's output nor the analysed unit.
     """
-    stated = None if file_unit in STATES_NO_UNIT else known_unit(file_unit)
-    source = channel.stated_source_unit or stated
+    told = None if file_unit in STATES_NO_UNIT else known_unit(file_unit)
+    source = channel.stated_source_unit or told
     integrals = channel.integrals_from(source)
     target = channel.analysed_unit if source is None or not integrals else base_unit(source)
     before, factor = target, 1.0
     if channel.sensitivity is not None:
         sensitivity = parse_sensitivity(channel.sensitivity)
         before, factor = base_unit(sensitivity.output), sensitivity.measured_per_output(target)
-    elif channel.measured_unit is not None and stated is None:
+    elif channel.measured_unit is not None and told is None:
         before = unit_of(channel.measured_unit)
         factor = conversion_factor(before, target)
-    remark = ""
-    if stated is not None and stated.quantity == "full scale" and before.quantity == "voltage":
+    remark, place = "", f"source {channel.file_source}"
+    if told is not None and told.quantity == "full scale" and before.quantity == "voltage":
         if channel.full_scale_v is None:
             scale = "the unit V" if channel.sensitivity is None else f"the sensitivity {channel.sensitivity!r}"
-            raise InputError(
-                f"channel {channel.name}: the file holds fractions of full scale, for which {scale} does not do",
-                file=path,
-                place=f"source {channel.file_source}",
-                remedy="State full_scale_v, the volts at full scale of the recorder, for this channel",
-            )
+            problem = f"channel {channel.name}: the file holds fractions of full scale, for which {scale} does not do"
+            remedy = "State full_scale_v, the volts at full scale of the recorder, for this channel"
+            raise InputError(problem, file=path, place=place, remedy=remedy)
         factor *= channel.full_scale_v / before.factor
-        before = stated
-    elif stated is not None:
+    elif told is not None:
         try:
-            factor *= conversion_factor(stated, before)
+            factor *= conversion_factor(told, before)
         except RequestError as error:
-            raise InputError(
-                f"channel {channel.name}: {error.problem}",
-                file=path,
-                place=f"source {channel.file_source}",
-                found=f"unit {file_unit!r} in the file",
-                remedy=error.remedy,
-            ) from None
-        before = stated
+            problem, found = f"channel {channel.name}: {error.problem}", f"unit {file_unit!r} in the file"
+            raise InputError(problem, file=path, place=place, found=found, remedy=error.remedy) from None
     elif file_unit not in STATES_NO_UNIT:
         remark = f"channel {channel.name}: the file states the unit {file_unit!r}; {before.name} is taken"
     offset = 0.0
     if channel.offset is not None:
         value, unit = parse_quantity(channel.offset)
-        offset = value * conversion_factor(unit, before)
+        offset = value * conversion_factor(unit, told or before)
     return Scaling(offset, factor, target, integrals, remark)
 
 
@@ -201,10 +171,10 @@ def channel_faults(channel: Channel, place: str) -> Iterator[RequestError]:
     if channel.offset is not None:
         yield from _unit_clash(parse_quantity(channel.offset)[1], output or source or unit, f"{place}.offset")
     known = ("acceleration", "velocity", "displacement", "pressure", "force", "torque", "voltage")
-    stated = next((quantity for quantity in known if channel.quantity.casefold().endswith(quantity)), unit.quantity)
-    if stated != unit.quantity:
+    named = next((quantity for quantity in known if channel.quantity.casefold().endswith(quantity)), unit.quantity)
+    if named != unit.quantity:
         problem = f"quantity and unit disagree: {unit.name} is a unit of {unit.quantity}"
-        remedy = _UNIT_OF_RESULT if stated in DERIVATIVE and unit.quantity in DERIVATIVE else ""
+        remedy = _UNIT_OF_RESULT if named in DERIVATIVE and unit.quantity in DERIVATIVE else ""
         yield RequestError(problem, place=f"{place}.quantity", found=channel.quantity, remedy=remedy)
 
 
@@ -223,25 +193,22 @@ _SUCH_AS = {"velocity": '"4.5 mm/s"', "displacement": '"60 µm"', "acceleration"
 class Limit(Table):
     """``[[limits]]``: a level that a channel is to stay within at every tested speed, and where that is written."""
 
-    quantity: Literal["velocity", "displacement", "acceleration", "balance grade"] = Field(
-        description="What is limited: the root mean square of a vibration, or the balance grade G (e · ω).",
-        examples=["velocity"],
+    quantity: Literal["velocity", "displacement", "acceleration", "balance grade"] = stated(
+        "What is limited: the root mean square of a vibration, or the balance grade G (e · ω).", "velocity"
     )
-    value: Annotated[str, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "number"}]})] = Field(
-        description='The limit with its unit; a grade as "G 6.3", "6.3 mm/s" or 6.3.', examples=["4.5 mm/s"]
+    value: Annotated[str, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "number"}]})] = stated(
+        'The limit with its unit; a grade as "G 6.3", "6.3 mm/s" or 6.3.', "4.5 mm/s"
     )
-    source: Name = Field(
-        description="Where the limit is written: nothing of a standard is known here.", examples=["contract 12, page 3"]
-    )
-    band_hz: Annotated[tuple[Positive, Positive], Field(strict=False)] = Field(
+    source: Name = stated("Where the limit is written: nothing of a standard is known here.", "contract 12, page 3")
+    band_hz: tuple[Positive, Positive] = stated(
+        "Band of the level, low and high end; the high one at least 1.25 times the low one.",
+        [10.0, 1000.0],
         default=(10.0, 1000.0),
-        description="Band of the level, low and high end; the high one at least 1.25 times the low one.",
-        examples=[[10.0, 1000.0]],
+        strict=False,
     )
-    channels: Annotated[tuple[Name, ...], Field(strict=False)] = Field(
-        default=(), description="Channels that it holds for; all that can tell the quantity where left out.",
-        examples=[["Z"]],
-    )  # fmt: skip
+    channels: tuple[Name, ...] = stated(
+        "Channels that it holds for; all that can tell the quantity where left out.", ["Z"], default=(), strict=False
+    )
 
     @field_check("value", mode="before")
     @classmethod
@@ -303,10 +270,8 @@ class Limit(Table):
 class Rotor(Table):
     """``[rotor]``: mass and speed by which an unbalance in g·mm becomes a balance grade."""
 
-    mass_kg: Positive = Field(description="Mass of the rotor.", examples=[12.5])
-    service_rpm: Positive | None = Field(
-        default=None, description="Fastest speed in service; the fastest tested where left out.", examples=[3000.0]
-    )
+    mass_kg: Positive = stated("Mass of the rotor.", 12.5)
+    service_rpm: Positive | None = optional("Fastest speed in service; the fastest tested where left out.", 3000.0)
 
 
 def check_bands(limits: tuple[Limit, ...], rate_hz: float, path: Path) -> None:

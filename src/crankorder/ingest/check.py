@@ -62,7 +62,7 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
 
     faults: list[CrankorderError] = []
     try:
-        contents: Contents = contents_of(path, settings=settings)
+        contents = contents_of(path, settings=settings)
     except CrankorderError as error:
         return [error]
     pulses, encoder = manifest.pulses_of(path), manifest.encoder

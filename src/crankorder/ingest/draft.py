@@ -6,14 +6,15 @@ import fnmatch
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestError, printable
 from crankorder.ingest.encoder_table import POSITION_KINDS
-from crankorder.ingest.folder import is_companion, is_leftover, natural_key
+from crankorder.ingest.folder import collected, is_companion, is_leftover, natural_key
 from crankorder.ingest.formats import FORMATS, contents_of, read_file
 from crankorder.ingest.manifest import MANIFEST_NAME, manifest_head, manifest_of
 from crankorder.ingest.rawfile import Contents, Source, listed
@@ -26,16 +27,22 @@ from crankorder.shaft.pulses import COUNTER_BITS
 from crankorder.shaft.speeds import speed_in_name
 from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
-MOTOR = (
-    "",
-    "# [motor]                         # where an induction motor drives: its slip and its lines are then named",
-    "# supply_hz = 50.0                # leave it out for a motor on a variable-speed drive",
-    "# poles = 4                       # poles, not pairs",
-    "# rotor_bars = 44",
-    "# shaft_ratio = 1.0               # turns of the motor per crank revolution",
-    "",
-)
+MOTOR = """
+# [motor]                         # where an induction motor drives: its slip and its lines are then named
+# supply_hz = 50.0                # leave it out for a motor on a variable-speed drive
+# poles = 4                       # poles, not pairs
+# rotor_bars = 44
+# shaft_ratio = 1.0               # turns of the motor per crank revolution
+"""
 """What a draft proposes that no file tells, as comments."""
+
+NO_ENCODER = (
+    "# [encoder]                       # ? no column looks like an encoder: one of",
+    '# kind = "analogue"               #   with source, the column of a pickup, and pulses_per_rev or pattern',
+    '# kind = "constant"               #   with speed_rpm = 1500.0',
+    '# kind = "vibration"              #   the speed is then read off the signals, with expected_rpm = [600, 3000]',
+)
+"""What a draft says of the shaft where no file tells it."""
 
 _SPECTRUM = re.compile(r"(^|[^a-z])(fft|spectrum|spectra|psd|frf)([^a-z]|$)", re.I)
 
@@ -57,8 +64,7 @@ _SAME_COUNT = 0.005
 _NOMINAL = 0.03
 
 
-@dataclass(frozen=True)
-class Wheel:
+class Wheel(NamedTuple):
     """Result of a look at an encoder's pulses: the best edge, the wheel or None, pulses and marks per second."""
 
     edge: str
@@ -133,33 +139,23 @@ def draft_manifest(folder: Path) -> str:
         columns = _marks_by_wheel(columns, wheel)
         if columns.of("encoder") is None and (mark := columns.of("index")) is not None:
             wheel = wheel_of(Columns((mark.used_as("encoder"), *columns.all)), contents, path)
-        encoder, knows_shaft = _encoder(columns, wheel, speeds, speeds.get(path.name))
+        encoder = _encoder(columns, wheel, speeds.get(path.name))
     else:
-        beside = tuple(
-            column.used_as("unused", "the pulses stand in files of their own")
-            if column.role in ("encoder", "index", "cam")
-            else column
-            for column in columns.all
-        )
-        columns, knows_shaft = replace(columns, all=beside), True
+        own, doubt = ("encoder", "index", "cam"), "the pulses stand in files of their own"
+        beside = (column.used_as("unused", doubt) if column.role in own else column for column in columns.all)
+        columns = replace(columns, all=tuple(beside))
         encoder = _pulse_file(pulses, speeds.get(path.name))
     lines = [
-        "# Draft by `crankorder init`: decide what stands behind `# ?`.",
-        "schema_version = 1",
-        "",
-        "[test]",
+        "# Draft by `crankorder init`: decide what stands behind `# ?`.\nschema_version = 1\n\n[test]",
         f"name = {_text(folder.resolve().name)}",
-        *_cycle(columns, path, knows_shaft=knows_shaft),
+        *_cycle(columns, path, knows_shaft=encoder is not NO_ENCODER),
         '# engine = "…"                    # a shipped engine, or a TOML file here: its forces are then known',
-        "",
-        "[recordings]",
-        _files(folder, pattern),
-        "",
+        f"\n[recordings]\n{_files(folder, pattern)}\n",
         *_sampling(columns, contents),
         *_channels(columns),
         *encoder,
-        *(_stated_speeds(speeds) if 'kind = "constant"' in encoder and len(speeds) else []),
-        *MOTOR,
+        *(_stated_speeds(speeds) if 'kind = "constant"' in encoder and speeds else []),
+        MOTOR,
     ]
     scalars = [printable(name, 40) for name in contents.names if contents.samples.get(name) == 1]
     if scalars:
@@ -213,11 +209,9 @@ def _read_all(folder: Path) -> tuple[dict[str, list[tuple[Contents, Path]]], lis
         is_note = path.suffix.lower() in (".toml", ".md", ".json")
         if is_note or is_leftover(path.name) or is_companion(path.name) or path.is_dir():
             continue
-        try:
+        with collected(faults):
             contents = contents_of(path, settings=settings)
             groups.setdefault(path.suffix, []).append((contents, path))
-        except CrankorderError as error:
-            faults.append(error)
     return groups, faults
 
 
@@ -233,17 +227,15 @@ def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]], PulseFi
         inside = [] if faults else _tests_in(folder)
         if inside:
             names = listed([printable(path.name, 40) for path in inside], 5)
-            raise RequestError(
-                f"the recordings lie in {len(inside)} folders of this one: {names}",
-                file=folder,
-                remedy="Draft each as a test of its own (`crankorder init FOLDER --save` does them all), or write one "
-                'run.toml here that takes them together: files = ["*/*"]',
+            problem = f"the recordings lie in {len(inside)} folders of this one: {names}"
+            remedy = (
+                "Draft each as a test of its own (`crankorder init FOLDER --save` does them all), or write one "
+                'run.toml here that takes them together: files = ["*/*"]'
             )
-        raise NoUsableRecordingError(
-            f"no recording found; looked for {', '.join(known.name for known in FORMATS)} and text files",
-            file=folder,
-            found="; ".join(str(fault) for fault in faults[:3]) or "an empty folder",
-        )
+            raise RequestError(problem, file=folder, remedy=remedy)
+        problem = f"no recording found; looked for {', '.join(known.name for known in FORMATS)} and text files"
+        found = "; ".join(map(str, faults[:3])) or "an empty folder"
+        raise NoUsableRecordingError(problem, file=folder, found=found)
     pairs = pulse_files([file for group in groups.values() for file in group])
     if pairs is not None:
         return pairs.recordings, pairs.group, pairs
@@ -265,20 +257,19 @@ def _source(column: Column, files: list[Contents]) -> Source:
 
 def _speeds(group: Sequence[tuple[Contents, Path]]) -> dict[str, tuple[float, str]]:
     """Speed in rpm of each file by its name, as the file or its name states it, and which of them; {} unless all do."""
-    speeds: dict[str, tuple[float, str]] = {}
+    speeds = {}
     for contents, path in group:
-        if contents.speed_rpm is not None and contents.speed_rpm > 0:
-            speeds[path.name] = contents.speed_rpm, "as the file states"
-        elif (rpm := speed_in_name(path.stem)) is not None:
-            speeds[path.name] = rpm, "from the name of the file"
-        else:
+        stated = contents.speed_rpm is not None and contents.speed_rpm > 0
+        rpm = contents.speed_rpm if stated else speed_in_name(path.stem)
+        if rpm is None:
             return {}
+        speeds[path.name] = rpm, "as the file states" if stated else "from the name of the file"
     return speeds
 
 
 def _cycle(columns: Columns, path: Path, *, knows_shaft: bool) -> list[str]:
     if not knows_shaft:
-        speeds = (column for column in columns.all if column.unit and column.unit.quantity == "rotational speed")
+        speeds = (column for column in columns.all if column.quantity == "rotational speed")
         told = next((f"{column.name} tells a speed, but: {column.doubt or 'no signal'}" for column in speeds), "")
         return [
             _asked('cycle = "none"', told or "nothing in the files tells a speed"),
@@ -307,23 +298,20 @@ def _sampling(columns: Columns, contents: Contents) -> list[str]:
 
 
 def _channels(columns: Columns) -> list[str]:
-    lines: list[str] = []
-    labels = [column.label for column in columns.channels()]
+    lines, labels = [], [column.label for column in columns.channels()]
     for number, column in enumerate(columns.channels()):
         name = column.label if labels.count(column.label) == 1 else column.name
         is_spectrum = _SPECTRUM.search(f"{name} {column.name}")
         doubt = "its name speaks of a spectrum: signals by time are read, no spectra" if is_spectrum else ""
         lines += ["[[channels]]", _asked(f"name = {_text(name)}", doubt)]
-        if column.source != name:
-            lines.append(f"source = {_shown(column.source)}")
+        lines += [f"source = {_shown(column.source)}"] if column.source != name else []
         lines += _unit(column, first=number == 0)
         if number == 0:
             lines.append(_asked('# direction = "+Z"', "the axis that the sensor looks along; for each channel"))
         lines.append("")
     for column in columns.all:
         if column.role == "unused":
-            why = column.doubt or "no use was found for it"
-            lines.append(f"# column {_text(column.name)} is left out: {why}")
+            lines.append(f"# column {_text(column.name)} is left out: {column.doubt or 'no use was found for it'}")
     return lines + ([""] if lines and lines[-1] else [])
 
 
@@ -332,23 +320,22 @@ def _unit(column: Column, *, first: bool) -> list[str]:
         lines = [_asked(f"unit = {_text(column.unit.name)}", column.doubt)]
     else:
         lines = [_asked('unit = "1"', column.doubt or "the file states no unit: m/s2, g, V, bar, …")]
-    if first and (column.unit is None or column.unit.quantity in ("voltage", "full scale")):
+    if first and column.quantity in ("", "voltage", "full scale"):
         lines.append(_asked('# sensitivity = "100 mV/g"', "where the file holds volts; the unit above is then m/s2"))
-    if first and column.unit is not None and column.unit.quantity == "full scale":
+    if first and column.quantity == "full scale":
         lines.append(_asked("# full_scale_v = 10.0", "volts at full scale, which a sensitivity needs"))
     return lines
 
 
-def _encoder(
-    columns: Columns, wheel: Wheel | None, speeds: Mapping[str, object], stated: tuple[float, str] | None
-) -> tuple[list[str], bool]:
-    """Lines of the encoder, whose pulses show a ``wheel``, and whether anything tells the speed or angle of a shaft.
+def _encoder(columns: Columns, wheel: Wheel | None, stated: tuple[float, str] | None) -> Sequence[str]:
+    """Lines of the encoder, whose pulses show a ``wheel``; NO_ENCODER where nothing tells speed or angle of a shaft.
 
-    ``stated`` is the speed of the recording, one of the ``speeds`` of all, where they have one.
+    ``stated`` is the speed of the recording, where it and all others have one.
     """
     encoder, index, speed, constant = (columns.of(role) for role in ("encoder", "index", "speed", "constant"))
+    constant_speed = ["[encoder]", 'kind = "constant"']
     if columns.of("angle") is not None:
-        return (["[encoder]", 'kind = "constant"'] if speeds else []), True
+        return constant_speed if stated else []
     if encoder is not None:
         source, *marks = (
             _asked(f"{key} = {_shown(column.source)}", column.doubt)
@@ -356,36 +343,23 @@ def _encoder(
             if column is not None
         )
         told = _position(encoder) if encoder.kind in POSITION_KINDS else _wheel(encoder, wheel, stated)
-        return ["[encoder]", source, *told, *marks], True
+        return ["[encoder]", source, *told, *marks]
     if index is not None:
-        source = f"source = {_shown(index.source)}"
-        return ["[encoder]", source, *_kind(index, wheel), "pulses_per_rev = 1"], True
+        return ["[encoder]", f"source = {_shown(index.source)}", *_kind(index, wheel), "pulses_per_rev = 1"]
     if speed is not None:
-        return ["[encoder]", f"source = {_shown(speed.source)}", 'kind = "speed"'], True
+        return ["[encoder]", f"source = {_shown(speed.source)}", 'kind = "speed"']
     if constant is not None:
-        shown = _asked(f"source = {_shown(constant.source)}", "a number, taken as rpm")
-        return ["[encoder]", 'kind = "constant"', shown], True
-    if speeds:
-        return ["[encoder]", 'kind = "constant"'], True
-    return [
-        "# [encoder]                       # ? no column looks like an encoder: one of",
-        '# kind = "analogue"               #   with source, the column of a pickup, and pulses_per_rev or pattern',
-        '# kind = "constant"               #   with speed_rpm = 1500.0',
-        '# kind = "vibration"              #   the speed is then read off the signals, with expected_rpm = [600, 3000]',
-    ], False
+        return [*constant_speed, _asked(f"source = {_shown(constant.source)}", "a number, taken as rpm")]
+    return constant_speed if stated else NO_ENCODER
 
 
 def _pulse_file(pulses: PulseFiles, stated: tuple[float, str] | None) -> list[str]:
     """Lines of an encoder whose pulses stand in files of their own."""
     per_rev = _pulses_per_rev(pulses.pulses_hz, stated)
     where = "at the stated speed" if per_rev else "how many of them make a revolution?"
-    return [
-        "[encoder]",
-        f"file = {_text(pulses.pulses)}",
-        f"source = {_shown(pulses.source)}",
-        'kind = "pulse_times"',
-        _asked(f"pulses_per_rev = {per_rev or 1}", f"{pulses.pulses_hz:.4g} pulses/s {where}"),
-    ]
+    source = f"file = {_text(pulses.pulses)}\nsource = {_shown(pulses.source)}"
+    told = _asked(f"pulses_per_rev = {per_rev or 1}", f"{pulses.pulses_hz:.4g} pulses/s {where}")
+    return ["[encoder]", source, 'kind = "pulse_times"', told]
 
 
 def _marks_by_wheel(columns: Columns, wheel: Wheel | None) -> Columns:
@@ -400,7 +374,7 @@ def _marks_by_wheel(columns: Columns, wheel: Wheel | None) -> Columns:
 
 
 def _stated_speeds(speeds: Mapping[str, tuple[float, str]]) -> list[str]:
-    lines = ["", "[recordings.speed_rpm]"]
+    lines = ["\n[recordings.speed_rpm]"]
     for name, (rpm, whence) in speeds.items():
         line = f"{_text(name)} = {rpm:.9g}"
         lines.append(_asked(line, whence) if whence.startswith("from") else f"{line.ljust(_MARK_COLUMN)}# {whence}")
@@ -419,9 +393,9 @@ def _wheel(encoder: Column, wheel: Wheel | None, stated: tuple[float, str] | Non
     """Kind, edge and wheel of the ``encoder`` as its pulses tell them, or the ``stated`` speed, else to be stated."""
     lines = _kind(encoder, wheel)
     if wheel is None or wheel.found is None:
-        told = _pulses_per_rev(wheel.pulses_hz, stated) if wheel is not None else None
-        if told is not None and wheel is not None:
-            return [*lines, _asked(f"pulses_per_rev = {told}", f"{wheel.pulses_hz:.4g} pulses/s at the stated speed")]
+        pulses_hz = 0.0 if wheel is None else wheel.pulses_hz
+        if (told := _pulses_per_rev(pulses_hz, stated)) is not None:
+            return [*lines, _asked(f"pulses_per_rev = {told}", f"{pulses_hz:.4g} pulses/s at the stated speed")]
         wheels = ", ".join(known_names())
         return [
             *lines,

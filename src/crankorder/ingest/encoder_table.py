@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, WithJsonSchema
 from pydantic import field_validator as field_check
 
+from crankorder.engine.machine_parts import stated
 from crankorder.errors import RequestError
 from crankorder.shaft.pattern import angles_fault, pattern_of
 
@@ -65,83 +66,67 @@ class Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
+def optional(description: str, *example: object) -> Any:
+    """A field with its ``description``, and an ``example`` or none, that is None where it is left out."""
+    return stated(description, *example, default=None)
+
+
 class Encoder(Table):
     """``[encoder]``: how the file tells the angle or the speed of the shaft."""
 
-    kind: EncoderKind = Field(
-        default="none",
-        description="What tells the shaft: a sampled trace of two levels (square) or of any shape (analogue), times of "
+    kind: EncoderKind = stated(
+        "What tells the shaft: a sampled trace of two levels (square) or of any shape (analogue), times of "
         "pulses (pulse_times), a list of changes of a level (edge_list), the angle (angle), a count of it (count) or "
         "the speed (speed) sample by sample, one speed (constant), the signals themselves (vibration) or nothing "
         "(none).",
-        examples=["square"],
+        "square",
+        default="none",
     )
-    source: Source | None = Field(default=None, description="Dataset or column that holds it.", examples=["encoder"])
-    file: Name | None = Field(
-        default=None,
-        description="File of pulse times beside each recording; * stands for the recording's name, {step} for the part "
+    source: Source | None = optional("Dataset or column that holds it.", "encoder")
+    file: Name | None = optional(
+        "File of pulse times beside each recording; * stands for the recording's name, {step} for the part "
         "of it that has this name in recordings.files.",
-        examples=["*.edges.csv"],
+        "*.edges.csv",
     )
-    time_source: Source | None = Field(default=None, description="Column of times in that file.", examples=["time_s"])
-    offset_s: float = Field(
-        default=0.0,
-        description="Added to the times of that file: what its clock lags behind the recording's.",
-        examples=[0.25],
+    time_source: Source | None = optional("Column of times in that file.", "time_s")
+    offset_s: float = stated(
+        "Added to the times of that file: what its clock lags behind the recording's.", 0.25, default=0.0
     )
-    pulses_per_rev: Teeth | None = Field(
-        default=None,
-        description="Pulses per revolution of the full wheel, missing teeth counted: 60 of a 60-2 wheel; of kind count "
+    pulses_per_rev: Teeth | None = optional(
+        "Pulses per revolution of the full wheel, missing teeth counted: 60 of a 60-2 wheel; of kind count "
         "the counts: 4096 of 1024 lines counted fourfold.",
-        examples=[60],
+        60,
     )
-    missing_teeth: Annotated[int, Field(ge=0, le=1_000_000)] = Field(
-        default=0, description="Teeth that the wheel lacks in its one gap: 2 of a 60-2 wheel.", examples=[2]
+    missing_teeth: Annotated[int, Field(ge=0, le=1_000_000)] = stated(
+        "Teeth that the wheel lacks in its one gap: 2 of a 60-2 wheel.", 2, default=0
     )
-    pattern: Name | None = Field(
-        default=None, description="A wheel of the trade by name, or even teeth and gap such as 60-2.", examples=["36-2"]
+    pattern: Name | None = optional("A wheel of the trade by name, or even teeth and gap such as 60-2.", "36-2")
+    tooth_angles_deg: Annotated[tuple[float, ...], Field(strict=False)] | None = optional(
+        "Angles of the pulses of one turn of the wheel from the first at 0, ascending, below 360.", [0.0, 30.0, 180.0]
     )
-    tooth_angles_deg: Annotated[tuple[float, ...], Field(strict=False)] | None = Field(
-        default=None,
-        description="Angles of the pulses of one turn of the wheel from the first at 0, ascending, below 360.",
-        examples=[[0.0, 30.0, 180.0]],
+    index: Source | None = optional("Dataset or column of a mark once per revolution of the encoder.", "index")
+    cam: Source | None = optional(
+        "Dataset or column of a mark once per cycle of a four-stroke engine: which dead centre fires.", "cam"
     )
-    index: Source | None = Field(
-        default=None, description="Dataset or column of a mark once per revolution of the encoder.", examples=["index"]
-    )
-    cam: Source | None = Field(
-        default=None,
-        description="Dataset or column of a mark once per cycle of a four-stroke engine: which dead centre fires.",
-        examples=["cam"],
-    )
-    second_track: Source | None = Field(
-        default=None,
-        description="Dataset or column of a second track a quarter of a pulse behind the first (B of A and B): it "
+    second_track: Source | None = optional(
+        "Dataset or column of a second track a quarter of a pulse behind the first (B of A and B): it "
         "tells whether the shaft turns backwards.",
-        examples=["encoder_b"],
+        "encoder_b",
     )
-    edge: Literal["rising", "falling"] = Field(
-        default="rising", description="Edge of the trace that counts.", examples=["falling"]
-    )
-    ratio: Ratio = Field(default=1.0, description="Revolutions of the encoder per crank revolution.", examples=[0.5])
-    index_to_tdc_deg: Turn = Field(
-        default=0.0,
-        description="Crank angle from the index mark, or without one from the first tooth behind the gap or the zero "
+    edge: Literal["rising", "falling"] = stated("Edge of the trace that counts.", "falling", default="rising")
+    ratio: Ratio = stated("Revolutions of the encoder per crank revolution.", 0.5, default=1.0)
+    index_to_tdc_deg: Turn = stated(
+        "Crank angle from the index mark, or without one from the first tooth behind the gap or the zero "
         "of an angle or count, to top dead centre, from which phases count.",
-        examples=[84.0],
+        84.0,
+        default=0.0,
     )
-    cam_to_tdc_deg: Turn | None = Field(
-        default=None, description="Crank angle from the cam mark to the firing top dead centre.", examples=[120.0]
+    cam_to_tdc_deg: Turn | None = optional("Crank angle from the cam mark to the firing top dead centre.", 120.0)
+    speed_rpm: Positive | None = optional(
+        "Speed of the crank in every recording that has none of its own; of kind constant.", 1500.0
     )
-    speed_rpm: Positive | None = Field(
-        default=None,
-        description="Speed of the crank in every recording that has none of its own; of kind constant.",
-        examples=[1500.0],
-    )
-    expected_rpm: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = Field(
-        default=None,
-        description="Lowest and highest speed that is looked for; of kind vibration alone.",
-        examples=[[600.0, 3000.0]],
+    expected_rpm: Annotated[tuple[Positive, Positive], Field(strict=False)] | None = optional(
+        "Lowest and highest speed that is looked for; of kind vibration alone.", [600.0, 3000.0]
     )
 
     @field_check("expected_rpm")
@@ -192,7 +177,7 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
     ``cycle`` is that of the test, ``domain`` that of the samples; ``speeds_stated`` says whether recordings have speeds
     of their own.
     """
-    kind, stated = encoder.kind, encoder.model_fields_set
+    kind, keys = encoder.kind, encoder.model_fields_set
     needs = {
         "source": kind in (*TRACE_KINDS, *TIME_KINDS, "speed"),
         "pulses_per_rev": kind == "count",
@@ -204,10 +189,10 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
         useless = {"missing_teeth", "pattern", "tooth_angles_deg", "second_track"}
         useless |= {"pulses_per_rev"} if kind == "angle" else set()
         useless |= {"edge"} if encoder.index is None and encoder.cam is None else set()
-        for key in sorted(useless & stated):
+        for key in sorted(useless & keys):
             yield _fault(key, f"{key} says nothing of kind {kind!r}", remedy=f"Remove {key}")
     if encoder.file is None:
-        for key in sorted({"time_source", "offset_s"} & stated):
+        for key in sorted({"time_source", "offset_s"} & keys):
             yield _fault(key, f"{key} is that of the file of pulses", remedy="Add file")
     elif kind not in TIME_KINDS:
         problem = "a file of its own holds times of pulses: samples lie in the recording"

@@ -11,9 +11,9 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 from crankorder.errors import (
     MOST_TOLD,
@@ -32,11 +32,12 @@ _LEFTOVER = re.compile(
     r"\..*|.*~|~\$.*|.*\.(part|partial|tmp|temp|crdownload|filepart|download|swp|bak|lock)|thumbs\.db|desktop\.ini",
     re.IGNORECASE,
 )
+_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket"}
+_KINDS |= {stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 _COMPANIONS = (MANIFEST_NAME, "truth.json")
 
 
-@dataclass(frozen=True, slots=True)
-class Folder:
+class Folder(NamedTuple):
     """Recordings of one folder in natural order, faults of others that were asked for, and what was passed over."""
 
     paths: list[Path]
@@ -68,22 +69,19 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
     """
     chosen: dict[Path, None] = {}
     faults: list[CrankorderError] = []
-    ignored: list[str] = []
-    untold = 0
+    ignored, untold = set[str](), 0
     for pattern in manifest.recordings.files:
         if len(faults) >= MOST_TOLD and not glob.has_magic(pattern) and not os.path.lexists(f"{folder}/{pattern}"):
             untold += 1
             continue
-        matches: list[Path] = []
         with collected(faults):
-            matches = _matches(folder, pattern)
-        for path in matches:
-            with collected(faults):
-                if is_leftover(path.name):
-                    ignored.append(path.name)
-                elif path not in chosen and (not is_companion(path.name) or pattern == path.name):
-                    check_regular(path, folder)
-                    chosen[path] = None
+            for path in _matches(folder, pattern):
+                with collected(faults):
+                    if is_leftover(path.name):
+                        ignored.add(path.name)
+                    elif path not in chosen and (not is_companion(path.name) or pattern == path.name):
+                        check_regular(path, folder)
+                        chosen[path] = None
     pulses = {path: manifest.pulses_of(path) for path in chosen}
     _refuse_shared(pulses, manifest, folder)
     for path in [path for path in chosen if path in pulses.values() and pulses[path] != path]:
@@ -95,7 +93,7 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
         remedy = "Mend [recordings] files, or give the right folder"
         raise NoUsableRecordingError(problem, file=folder, found=_listing(folder), remedy=remedy)
     faults += _unused_speeds(manifest, chosen, folder)
-    return Folder(sorted(chosen, key=natural_key), faults, sorted(set(ignored)))
+    return Folder(sorted(chosen, key=natural_key), faults, sorted(ignored))
 
 
 @contextmanager
@@ -120,16 +118,14 @@ def _refuse_shared(pulses: Mapping[Path, Path | None], manifest: Manifest, folde
             raise RequestError(problem, file=folder, place="encoder.file", found=found, remedy=remedy)
 
 
-def _unused_speeds(manifest: Manifest, paths: Iterable[Path], folder: Path) -> list[CrankorderError]:
+def _unused_speeds(manifest: Manifest, paths: Iterable[Path], folder: Path) -> Iterator[RequestError]:
     """Speeds that the manifest states for files that are not there: likely a misspelt name."""
     known = {manifest.name_of(path) for path in paths}
-    faults: list[CrankorderError] = []
     for name in (name for name in manifest.recordings.speed_rpm if name not in known):
         close = difflib.get_close_matches(name, sorted(known), n=1)
         remedy = f"Did you mean {close[0]!r}?" if close else "Remove it or mend its spelling"
         place = f"recordings.speed_rpm.{name}"
-        faults.append(RequestError("a speed is stated for no recording", file=folder, place=place, remedy=remedy))
-    return faults
+        yield RequestError("a speed is stated for no recording", file=folder, place=place, remedy=remedy)
 
 
 def check_regular(path: Path, folder: Path | None = None) -> None:
@@ -140,9 +136,8 @@ def check_regular(path: Path, folder: Path | None = None) -> None:
     """
     try:
         if folder is not None and not path.resolve(strict=True).is_relative_to(folder.resolve(strict=True)):
-            raise UnsafeInputError(
-                "outside the run folder", file=path, found=path.resolve(), remedy="Copy the file into the folder"
-            )
+            remedy = "Copy the file into the folder"
+            raise UnsafeInputError("outside the run folder", file=path, found=path.resolve(), remedy=remedy)
         mode = path.stat().st_mode
     except FileNotFoundError:
         problem = "a link to nothing" if path.is_symlink() else "no such file"
@@ -155,30 +150,15 @@ def check_regular(path: Path, folder: Path | None = None) -> None:
         raise InputError("cannot be reached", file=path, found=error) from None
     if not stat.S_ISREG(mode):
         remedy = "Only regular files are read; take it out of [recordings]"
-        raise InputError(f"not a file but {_kind(mode)}", file=path, remedy=remedy)
-
-
-def _kind(mode: int) -> str:
-    tests: dict[str, Callable[[int], bool]] = {
-        "a folder": stat.S_ISDIR,
-        "a named pipe": stat.S_ISFIFO,
-        "a socket": stat.S_ISSOCK,
-        "a device": lambda value: stat.S_ISCHR(value) or stat.S_ISBLK(value),
-    }
-    return next((name for name, test in tests.items() if test(mode)), "something else")
+        raise InputError(f"not a file but {_KINDS.get(stat.S_IFMT(mode), 'something else')}", file=path, remedy=remedy)
 
 
 def _matches(folder: Path, pattern: str) -> list[Path]:
     parts = re.split(r"[/\\]", pattern)
     if "\0" in pattern or pattern.startswith(("/", "\\", "~")) or ".." in parts or re.match(r"[A-Za-z]:[/\\]", pattern):
-        raise UnsafeInputError(
-            "outside the run folder",
-            file=folder,
-            place="recordings.files",
-            found=repr(pattern),
-            allowed="names and patterns relative to the folder",
-            remedy="Give the folder that holds the files",
-        )
+        place, found, allowed = "recordings.files", repr(pattern), "names and patterns relative to the folder"
+        problem, remedy = "outside the run folder", "Give the folder that holds the files"
+        raise UnsafeInputError(problem, file=folder, place=place, found=found, allowed=allowed, remedy=remedy)
     try:
         # a name may hold the characters of a pattern, such as "run [2].h5"
         if (folder / pattern).is_symlink() or (folder / pattern).exists():
@@ -208,16 +188,15 @@ def _listing(folder: Path, limit: int = 8) -> str:
     return ", ".join(names[:limit]) + more if names else "an empty folder"
 
 
-_KINDS = r"md5|sha1|sha224|sha256|sha384|sha512"
-_LIST = re.compile(rf"(?i)manifest-({_KINDS})\.txt|({_KINDS})sums?(?:\.txt)?|checksums?\.({_KINDS})|.+\.({_KINDS})")
-_OF_BAG = re.compile(rf"(?i)tagmanifest-({_KINDS})\.txt|bagit\.txt|bag-info\.txt|fetch\.txt")
+_SUMS = r"md5|sha1|sha224|sha256|sha384|sha512"
+_LIST = re.compile(rf"(?i)manifest-({_SUMS})\.txt|({_SUMS})sums?(?:\.txt)?|checksums?\.({_SUMS})|.+\.({_SUMS})")
+_OF_BAG = re.compile(rf"(?i)tagmanifest-({_SUMS})\.txt|bagit\.txt|bag-info\.txt|fetch\.txt")
 _LINE = re.compile(r"\\?([0-9A-Fa-f]{32,128})(?:\s+[*?]?(.+))?")
 _TAGGED = re.compile(r"[A-Za-z0-9-]+ \((.+)\) ?= ?([0-9A-Fa-f]{32,128})")
 _MOST_BYTES = 16_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class Listed:
+class Listed(NamedTuple):
     """A file that the list at ``by`` names, with its hexadecimal ``digest`` by an ``algorithm`` of hashlib."""
 
     path: Path
@@ -252,13 +231,11 @@ def checksum_faults(
                 faults.append(InputError(problem, file=entry.path, remedy="Copy it again"))
             continue
         digest = sha256_of(wanted[path]) if sha256_of is not None and entry.algorithm == "sha256" else None
-        if digest is None:
-            try:
+        with suppress(OSError):  # what cannot be read has a fault of its own
+            if digest is None:
                 with path.open("rb") as stream:
                     digest = hashlib.file_digest(stream, entry.algorithm).hexdigest()
-            except OSError:
-                continue  # what cannot be read has a fault of its own
-        if digest.lower() != entry.digest.lower():
+        if digest is not None and digest.lower() != entry.digest.lower():
             faulty.add(path)
             problem = f"its {entry.algorithm.upper()} differs from {entry.by.name}: it was damaged or changed"
             remedy = "Copy it again from where it was recorded; where it was changed on purpose, renew the list"
@@ -276,11 +253,8 @@ def _is_asked_for(path: Path, folder: Path, patterns: Sequence[str]) -> bool:
 
 def _listed(folder: Path, faults: list[CrankorderError]) -> Iterator[Listed]:
     """Entries of the lists in ``folder``, and of those of the bag whose payload it is; unreadable lines are faults."""
-    homes = [folder]
-    above = folder.resolve().parent
-    if folder.resolve().name == "data" and (above / "bagit.txt").is_file():
-        homes.append(above)
-    for home in homes:
+    above, is_bag = folder.resolve().parent, folder.resolve().name == "data"
+    for home in (folder, above) if is_bag and (above / "bagit.txt").is_file() else (folder,):
         for by in sorted(path for path in home.iterdir() if _LIST.fullmatch(path.name) and path.is_file()):
             with collected(faults):
                 yield from _entries(by, home, folder)
@@ -304,8 +278,7 @@ def _entries(by: Path, home: Path, folder: Path) -> Iterator[Listed]:
         if len(digest) != 2 * hashlib.new(algorithm).digest_size:
             problem, remedy = f"is no {algorithm} checksum", "Write the list again, or remove it"
             raise InputError(problem, file=by, place=f"line {number}", found=printable(line, 60), remedy=remedy)
-        path = _inside(name.strip(), home, folder)
-        if path is not None:
+        if (path := _inside(name.strip(), home, folder)) is not None:
             yield Listed(path, algorithm, digest, by)
 
 

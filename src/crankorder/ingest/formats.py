@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from crankorder.errors import EnvironmentFailure, InputError, UnsafeInputError, located
 from crankorder.ingest.folder import check_regular
@@ -21,8 +20,11 @@ HDF5_SUFFIXES = (".h5", ".hdf5", ".nc", ".nc4")
 _BINARY_SUFFIXES = (*HDF5_SUFFIXES, ".hdf", ".wav", ".xlsx", ".mat", ".mf4", ".mdf", ".tdms", ".ide", ".npy", ".dat")
 _HEAD_BYTES = 8192
 # what the first bytes say, and what to do with a format that is not read
-_EXPORT = "Export the recording to HDF5, WAV or text"
+_EXPORT, _COPY = "Export the recording to HDF5, WAV or text", "Copy it again"
 _IN_DEWESOFT = "Export it in DewesoftX as MDF4, TDMS, UFF58 or MATLAB"
+_IN_CONCERTO = "Export it in Concerto or IndiCom as MDF4, MATLAB or text"
+_IN_ARTEMIS = "Export it in ArtemiS as UFF58, WAV, MATLAB or text"
+_HEAD_SIGN = rb"(?s)start of data\s*:.*(channel definition|delta value|n(umber|br) of (scans|channels?))"
 _UNREAD: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"UnFinMF ", "an MDF4 file that its writer never finished", f"not supported yet. {_EXPORT}"),
     (b"MDF     3", "an MDF3 file", "not supported. Save it as MDF4"),
@@ -45,22 +47,13 @@ _UNREAD: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
 )
 # signs in the head of binary files that have no signature to begin with
 _UNREAD_SIGNS: tuple[tuple[bytes, str, str], ...] = (
-    (
-        rb"(?s)start of data\s*:.*(channel definition|delta value|n(umber|br) of (scans|channels?))",
-        "a HEAD acoustics file",
-        "not HDF5, not supported. Export it in ArtemiS as UFF58, WAV, MATLAB or text",
-    ),
+    (_HEAD_SIGN, "a HEAD acoustics file", f"not HDF5, not supported. {_IN_ARTEMIS}"),
     (rb"(?i)dewesoft", "a Dewesoft file", f"not supported. {_IN_DEWESOFT}"),
-    (
-        rb"(?i)\bAVL\b|\bI-?FILE\b|IndiCom",
-        "an AVL IFile",
-        "not supported. Export it in Concerto or IndiCom as MDF4, MATLAB or text",
-    ),
+    (rb"(?i)\bAVL\b|\bI-?FILE\b|IndiCom", "an AVL IFile", f"not supported. {_IN_CONCERTO}"),
 )
 
 
-@dataclass(frozen=True)
-class Format:
+class Format(NamedTuple):
     """A format that is read: its ``name``, its ``reader`` (``module.function`` of this room) and its recognition.
 
     ``told_by`` takes the file's path and first bytes. The reader (path, sources, settings → RawFile) is imported when
@@ -99,9 +92,8 @@ def _is_xlsx(path: Path, head: bytes) -> bool:
         with zipfile.ZipFile(path) as archive:
             is_workbook = "xl/workbook.xml" in archive.namelist()
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):  # what zipfile raises on damaged directories
-        raise InputError(
-            "truncated or damaged: a zip or XLSX file without its directory", file=path, remedy="Copy it again"
-        ) from None
+        problem = "truncated or damaged: a zip or XLSX file without its directory"
+        raise InputError(problem, file=path, remedy=_COPY) from None
     if not is_workbook:
         _refuse(path, "a zip archive", "not a recording. Unpack it")
     return True
@@ -116,9 +108,8 @@ def _is_ide(path: Path, head: bytes) -> bool:
 
 
 FORMATS = (
-    Format(
-        "HDF5", "hdf5.read", _is_hdf5, by_rows=True
-    ),  # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
+    # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
+    Format("HDF5", "hdf5.read", _is_hdf5, by_rows=True),
     Format("WAV", "wav.read", _is_wav, by_rows=True),
     Format("MATLAB", "matlab.read", _begins(b"MATLAB 5.0 MAT-file")),
     Format("NumPy", "numpy_file.read", _begins(b"\x93NUMPY"), by_rows=True),
@@ -179,7 +170,7 @@ def format_of(path: Path) -> Format:
     except OSError as error:
         raise InputError("cannot be read", file=path, found=error) from None
     if size == 0:
-        raise InputError("truncated: the file is empty (0 bytes)", file=path, remedy="Copy it again")
+        raise InputError("truncated: the file is empty (0 bytes)", file=path, remedy=_COPY)
     for signature, kind, advice in _UNREAD:
         if head.startswith(signature):
             _refuse(path, kind, advice)
@@ -202,9 +193,9 @@ def _refuse_by_suspicion(path: Path, head: bytes, size: int) -> None:
         if re.search(sign, head) and (b"\0" in head or suffix == ".hdf"):
             _refuse(path, kind, advice)
     if not head.strip(b"\0"):
-        raise InputError(f"holds only zeros (in its first {len(head)} bytes)", file=path, remedy="Copy it again")
+        raise InputError(f"holds only zeros (in its first {len(head)} bytes)", file=path, remedy=_COPY)
     if size < 12 and (HDF5_SIGNATURE.startswith(head[:8]) or b"RIFF".startswith(head[:4])):
-        raise InputError(f"truncated: only {size} bytes are left", file=path, remedy="Copy it again")
+        raise InputError(f"truncated: only {size} bytes are left", file=path, remedy=_COPY)
     if re.match(rb"\x80[\x02-\x05]", head):
         raise UnsafeInputError("is a Python pickle, which can run code: never opened", file=path, remedy=_EXPORT)
     if re.match(rb"(\xef\xbb\xbf)?\s*<(!doctype html|html|\?xml|svg)", head, re.IGNORECASE):
@@ -212,13 +203,8 @@ def _refuse_by_suspicion(path: Path, head: bytes, size: int) -> None:
     if suffix == ".hdf":
         _refuse(path, "not HDF5 (HEAD .hdf is a format of its own)", "not supported. Export UFF58, WAV or HDF5")
     if b"\0" in head:
-        raise InputError(
-            f"content is not known (not {', '.join(known.name for known in FORMATS)} or text)",
-            file=path,
-            found=f"first bytes {head[:8].hex(' ')}",
-            remedy=_EXPORT,
-        )
+        problem = f"content is not known (not {', '.join(known.name for known in FORMATS)} or text)"
+        raise InputError(problem, file=path, found=f"first bytes {head[:8].hex(' ')}", remedy=_EXPORT)
     if suffix in _BINARY_SUFFIXES:
-        raise InputError(
-            f"is text, though its name ends in {suffix}", file=path, remedy="Copy the recording again, or rename it"
-        )
+        remedy = "Copy the recording again, or rename it"
+        raise InputError(f"is text, though its name ends in {suffix}", file=path, remedy=remedy)

@@ -29,7 +29,7 @@ from crankorder.ingest.rawfile import (
     rows_for,
     starts_by_date,
 )
-from crankorder.quantities import Floats, QualityFlag
+from crankorder.quantities import Floats
 from crankorder.scratch import blocks, is_on_disk
 from crankorder.settings import IngestSettings
 
@@ -50,19 +50,12 @@ def _plain(name: str) -> str:
     return re.sub("[^a-z0-9]", "", name.lower())
 
 
-_RATES = tuple(
-    _plain(name)
-    for name in (
-        "rate_hz", "sample_rate_hz", "sample_rate", "sampling_rate", "sampling_rate_hz", "sampling_frequency",
-        "sampling_frequency_hz", "sample_frequency", "sample_freq", "samp_freq", "fs", "fs_hz",
-    )
+# plain names of attributes
+_RATES = (
+    "ratehz", "sampleratehz", "samplerate", "samplingrate", "samplingratehz", "samplingfrequency",
+    "samplingfrequencyhz", "samplefrequency", "samplefreq", "sampfreq", "fs", "fshz",
 )  # fmt: skip
-_STEPS = tuple(
-    _plain(name)
-    for name in (
-        "wf_increment", "dt", "dt_s", "delta_t", "increment_s", "time_step", "sample_interval", "sampling_interval",
-    )
-)  # fmt: skip
+_STEPS = ("wfincrement", "dt", "dts", "deltat", "increments", "timestep", "sampleinterval", "samplinginterval")
 _SPEEDS = ("speedrpm", "rpm", "shaftspeedrpm", "nominalrpm", "enginespeedrpm")
 _UNITS = ("units", "unit", "unitstring")
 _STARTS = ("starts", "wfstartoffset")
@@ -98,36 +91,23 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
         names = names_of(sources, list(columns), path)
         wanted = {name: columns[name] for name in names.values()} or columns
         used = {column.dataset: column.opened for column in wanted.values()}
-        stated, attributes, undated = _stated(file, wanted, used, path)
+        for dataset in used.values():
+            _check_dataset(dataset)
+        attributes = _Attributes(file, used)
+        places = {name: column.dataset for name, column in wanted.items()}
+        starts, undated = starts_by_date(*attributes.starts(places), path)
+        told = {name: (attributes.text(place, _UNITS), attributes.rate_hz(place)) for name, place in places.items()}
+        described = {name: Described(at.n_samples, *told[name], starts.get(name)) for name, at in wanted.items()}
+        stated = Contents.of("HDF5", described)
         if not names:
             speeds = (attributes.number(dataset, _SPEEDS) for dataset in used)
             return replace(stated, speed_rpm=next((rpm for rpm in speeds if rpm), None)).with_columns({}, ())
         check_budget(sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values()), settings)
-        values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
+        values = _read_columns([columns[name] for name in names.values()], attributes, settings, rows)
         others = set(stated.rates_hz.values())
         doubts = [attributes.doubts(at.dataset, stated.rates_hz.get(name), others) for name, at in wanted.items()]
         flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
         return stated.with_columns(names, values, flags=flags + undated)
-
-
-def _stated(
-    file: Any, columns: Mapping[str, _Column], opened: Mapping[str, Any], path: Path
-) -> tuple[Contents, _Attributes, list[QualityFlag]]:
-    """What the attributes of ``file`` say of ``columns``, these attributes, and flags of unset clocks.
-
-    ``opened`` are the datasets of the columns by place, which are checked first.
-    """
-    for dataset in opened.values():
-        _check_dataset(dataset)
-    attributes = _Attributes(file, opened)
-    starts, undated = starts_by_date(*attributes.starts({name: at.dataset for name, at in columns.items()}), path)
-    described = {
-        name: Described(
-            at.n_samples, attributes.text(at.dataset, _UNITS), attributes.rate_hz(at.dataset), starts.get(name)
-        )
-        for name, at in columns.items()
-    }
-    return Contents.of("HDF5", described), attributes, undated
 
 
 @contextmanager
@@ -174,14 +154,9 @@ def _columns_of(file: Any, settings: IngestSettings) -> dict[str, _Column]:
                 raise UnsafeInputError(f"holds more than {settings.max_objects} objects")
             link = group.id.links.get_info(key.encode("utf-8", "surrogateescape")).type
             if link == h5py.h5l.TYPE_EXTERNAL:
-                raise UnsafeInputError(
-                    "links to another file, which is never followed",
-                    place=f"{group.name.rstrip('/')}/{key}",
-                    remedy="Write the samples into the file itself",
-                )
-            if link != h5py.h5l.TYPE_HARD:
-                continue
-            child = group[key]
+                place, remedy = f"{group.name.rstrip('/')}/{key}", "Write the samples into the file itself"
+                raise UnsafeInputError("links to another file, which is never followed", place=place, remedy=remedy)
+            child = group[key] if link == h5py.h5l.TYPE_HARD else None
             if isinstance(child, h5py.Group):
                 stack.append((child, depth + 1))
             elif isinstance(child, h5py.Dataset):
@@ -211,8 +186,7 @@ def _check_dataset(dataset: Any) -> None:
         own = "keeps its samples in another file, which is never opened"
         problem = own if create.get_external_count() else "is put together from other files, which are never opened"
         raise UnsafeInputError(problem, place=place, remedy="Write them into the file itself")
-    for number in range(create.get_nfilters()):
-        code = create.get_filter(number)[0]
+    for code in (create.get_filter(number)[0] for number in range(create.get_nfilters())):
         if code not in _FILTERS:
             problem, allowed = f"needs filter {code}, which is not built in", ", ".join(_FILTERS.values())
             remedy = "Save the file again with gzip or without compression"
@@ -228,32 +202,29 @@ def _check_dataset(dataset: Any) -> None:
 
 
 def _read_columns(
-    columns: list[_Column],
-    used: Mapping[str, Any],
-    attributes: _Attributes,
-    settings: IngestSettings,
-    rows: slice | None,
+    columns: list[_Column], attributes: _Attributes, settings: IngestSettings, rows: slice | None
 ) -> list[FloatArray]:
     """Samples of ``columns``; equal lengths and types share one block, so that stacking them costs no copy."""
     parts = [part_of(column.n_samples, rows) for column in columns]
-    types = [float_type_for(used[column.dataset].dtype) for column in columns]
+    types = [float_type_for(column.opened.dtype) for column in columns]
     kinds = [(part.stop - part.start, kind) for part, kind in zip(parts, types, strict=True)]
     room = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
-    for name, dataset in used.items():
+    for name, dataset in {column.dataset: column.opened for column in columns}.items():
         asked = [(column, row) for column, row in zip(columns, room, strict=True) if column.dataset == name]
         first = part_of(asked[0][0].n_samples, rows).start
         try:
             _read_into([(column.index, row) for column, row in asked], dataset, first)
         except _H5PY_ERRORS as error:
-            raise InputError(
-                "damaged: the checksum or the compression of the samples is wrong",
-                place=dataset.name,
-                found=str(error).split("\n")[0],
-                remedy="Copy the file again",
-            ) from None
-        for column, row in asked:
-            n_columns = 1 if column.index is None else min(dataset.shape)
-            _unpack(row, name, column.index or 0, n_columns, attributes)
+            problem = "damaged: the checksum or the compression of the samples is wrong"
+            found = str(error).split("\n")[0]
+            raise InputError(problem, place=dataset.name, found=found, remedy="Copy the file again") from None
+        for column, row in asked:  # the packing conventions of NetCDF are undone: fill value, scale and offset
+            fill = attributes.number(name, _FILLS, inherited=False)
+            for part in blocks(row.size if fill is not None else 0):
+                row[part][row[part] == row.dtype.type(fill)] = np.nan
+            for packing, applied in ((_SCALE, np.multiply), (_OFFSET, np.add)):
+                if (number := attributes.packing(column, packing)) is not None:
+                    applied(row, number, out=row)
     return room
 
 
@@ -279,17 +250,6 @@ def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any, first: i
             row[part] = piece if index is None else piece[:, index] if axis == 0 else piece[index]
 
 
-def _unpack(row: FloatArray, place: str, index: int, n_columns: int, attributes: _Attributes) -> None:
-    """Undo the packing conventions of NetCDF: fill value, scale and offset of one of the columns of a dataset."""
-    fill = attributes.number(place, _FILLS, inherited=False)
-    if fill is not None:
-        for part in blocks(row.size):
-            row[part][row[part] == row.dtype.type(fill)] = np.nan
-    for name, applied in ((_SCALE, np.multiply), (_OFFSET, np.add)):
-        if (number := attributes.packing(place, name, index, n_columns)) is not None:
-            applied(row, number, out=row)
-
-
 class _Attributes:
     """What the attributes of a file's objects say, by the place of these; those of each object are read once."""
 
@@ -310,21 +270,21 @@ class _Attributes:
             raise InputError("the sampling rate must be above 0", place=place, found=value)
         return value
 
-    def packing(self, place: str, name: str, index: int, n_columns: int) -> float | None:
-        """The number that the attribute ``name`` at ``place`` states for column ``index``, None without it.
+    def packing(self, column: _Column, name: str) -> float | None:
+        """The number that the attribute ``name`` of a dataset states for its ``column``, None without it.
 
         It may be written as text, or one for each column. Raises InputError where it is neither: the scale of the
         samples is then not known.
         """
-        if name not in self._at(place):
+        if name not in self._at(column.dataset):
             return None
-        own, value = self._at(place)[name]
-        numbers = _numbers_in(value)
+        own, value = self._at(column.dataset)[name]
+        numbers, n_columns = _numbers_in(value), 1 if column.index is None else min(column.opened.shape)
         if numbers.size in (1, n_columns) and np.isfinite(numbers).all():
-            return float(numbers[index if numbers.size > 1 else 0])
+            return float(numbers[column.index or 0 if numbers.size > 1 else 0])
         problem, found = f"its {own} is not a number", printable(repr(value), 60)
         remedy = "Mend the attribute, or export the samples as floats in their unit"
-        raise InputError(problem, place=place, found=found, remedy=remedy)
+        raise InputError(problem, place=column.dataset, found=found, remedy=remedy)
 
     def doubts(self, place: str, rate_hz: float | None, others_hz: Collection[float]) -> Iterator[tuple[str, str]]:
         """Flags and details of what the attributes about ``place``, whose rate is ``rate_hz``, contradict or hide.
@@ -338,10 +298,8 @@ class _Attributes:
         for above in _above(place):
             for name, other in self._rates_at(above).items():
                 if rate_hz and other not in others_hz and abs(other - rate_hz) > _SAME_RATE * rate_hz:
-                    yield (
-                        "header_rate_disagrees",
-                        f"{place} states {rate_hz:.9g} Hz, {name} of {above} {other:.9g} Hz; the first is taken",
-                    )
+                    detail = f"{place} states {rate_hz:.9g} Hz, {name} of {above} {other:.9g} Hz; the first is taken"
+                    yield "header_rate_disagrees", detail
 
     def number(self, place: str, names: Sequence[str], *, inherited: bool = True) -> float | None:
         """First of the attributes ``names`` that is one number, at ``place``, else of its group, else of the file."""
@@ -360,16 +318,14 @@ class _Attributes:
         for key, place in places.items():
             with suppress(ValueError):
                 dates[key] = np.datetime64(self.text(place, _DATES).strip().rstrip("Z"), "ns")
-        stated = {
-            key: (self.number(at, _STARTS), self.number(at, _CLOCKS, inherited=False)) for key, at in places.items()
-        }
+        clocks = {key: self.number(at, _CLOCKS, inherited=False) for key, at in places.items()}
         # a clock may count from anywhere, unlike a list of pulse times beside them
-        first_s = min((clock for _, clock in stated.values() if clock is not None), default=0.0)
-        times = {
-            key: (start or 0.0) + (first_s if clock is None else clock) - first_s
-            for key, (start, clock) in stated.items()
-            if start is not None or clock is not None
-        }
+        first_s = min((clock for clock in clocks.values() if clock is not None), default=0.0)
+        times: dict[Any, float] = {}
+        for key, place in places.items():
+            start, clock = self.number(place, _STARTS), clocks[key]
+            if start is not None or clock is not None:
+                times[key] = (start or 0.0) + (first_s if clock is None else clock) - first_s
         return {key: date for key, date in dates.items() if not np.isnat(date)}, times
 
     def _rates_at(self, place: str) -> dict[str, float]:

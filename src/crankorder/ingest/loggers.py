@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import html
 import io
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -63,15 +63,9 @@ def read_tdms(path: Path, *, sources: Sequence[Source], settings: IngestSettings
     """
     parser = package("nptdms", "TDMS files", "Run: pip install 'crankorder[tdms]'").TdmsFile
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
-    stated, columns, cut, undated = in_child(lambda: _tdms(parser, path, sources, settings), path, n_bytes=most)
+    stated, columns, flags = in_child(lambda: _tdms(parser, path, sources, settings), path, n_bytes=most)
     names = names_of(sources, stated.names, path)
-    if not names:
-        return stated.with_columns({}, ())
-    if cut is not None and cut.share < _MIN_PRESENT:
-        raise InputError(f"truncated: {cut.words}", found=printable(cut.said) or None, remedy="Copy it again")
-    said = "" if cut is None or not cut.said else f" ({printable(cut.said)})"
-    flags = [] if cut is None else [flag(path, "missing_data", "suspect", f"truncated: {cut.words}{said}")]
-    return stated.with_columns(names, [columns[name] for name in names.values()], flags=flags + undated)
+    return stated.with_columns(names, [columns[name] for name in names.values()], flags=flags)
 
 
 def _tdms_channels(file: Any) -> Mapping[str, Any]:
@@ -86,77 +80,61 @@ def _tdms_channels(file: Any) -> Mapping[str, Any]:
     return by_distinct_name(channels)
 
 
-def _tdms_contents(
-    channels: Mapping[str, Any], dated: Collection[str], path: Path
-) -> tuple[Contents, list[QualityFlag]]:
-    """What the properties of the ``channels`` say, and flags of dates of the ``dated`` that were not set."""
-    dates = {name: channels[name].properties.get("wf_start_time") for name in dated}
-    stamps = {name: date.as_datetime64("ns") for name, date in dates.items() if hasattr(date, "as_datetime64")}
-    offsets = {name: channel.properties.get("wf_start_offset") for name, channel in channels.items()}
-    numbers = {name: float(offset) for name, offset in offsets.items() if _is_number(offset)}
-    starts, flags = starts_by_date(stamps, numbers, path)
-    columns: dict[str, Described] = {}
-    for name, channel in channels.items():
-        unit = str(next((channel.properties[key] for key in _UNITS if key in channel.properties), ""))
-        step = channel.properties.get("wf_increment")
-        rate_hz = float(f"{1.0 / float(step):.12g}") if _is_number(step) and step > 0 else None
-        columns[name] = Described(len(channel), unit, rate_hz, starts.get(name))
-    return Contents.of("TDMS", columns), flags
-
-
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and bool(np.isfinite(value))
 
 
-@dataclass(frozen=True)
-class _Cut:
-    """A file that lacks its end: which ``share`` of its bytes is there, that in ``words``, and what nptdms ``said``."""
-
-    share: float
-    words: str
-    said: str
-
-
 def _tdms(
     parser: Any, path: Path, sources: Sequence[Source], settings: IngestSettings
-) -> tuple[Contents, dict[str, FloatArray], _Cut | None, list[QualityFlag]]:
-    """What the file holds, columns by name, what it lacks of its end, and flags of dates that were not set."""
+) -> tuple[Contents, dict[str, FloatArray], list[QualityFlag]]:
+    """What the file holds, columns by name, and flags of what it lacks of its end and of dates that were not set."""
     with _heard() as said, parser.open(path, raw_timestamps=True) as file:
         channels = _tdms_channels(file)
         names = dict.fromkeys(names_of(sources, tuple(channels), path).values())
-        contents, undated = _tdms_contents(channels, names or channels, path)
+        dates = {name: channels[name].properties.get("wf_start_time") for name in names or channels}
+        stamps = {name: date.as_datetime64("ns") for name, date in dates.items() if hasattr(date, "as_datetime64")}
+        offsets = {name: channel.properties.get("wf_start_offset") for name, channel in channels.items()}
+        numbers = {name: float(offset) for name, offset in offsets.items() if _is_number(offset)}
+        starts, undated = starts_by_date(stamps, numbers, path)
+        described: dict[str, Described] = {}
+        for name, channel in channels.items():
+            unit = str(next((channel.properties[key] for key in _UNITS if key in channel.properties), ""))
+            step = channel.properties.get("wf_increment")
+            rate_hz = float(f"{1.0 / float(step):.12g}") if _is_number(step) and step > 0 else None
+            described[name] = Described(len(channel), unit, rate_hz, starts.get(name))
+        contents = Contents.of("TDMS", described)
+        if not names:
+            return contents, {}, []
         check_budget(sum(8 * contents.samples[name] for name in names), settings)
-        columns: dict[str, FloatArray] = {}
-        for name in names:
-            values = np.asarray(channels[name][:])
-            columns[name] = values.astype(float_type_for(values.dtype), copy=False)
-        stated = _stated_samples(file, {name: channels[name] for name in names})
-        cut = _cut(path, columns, stated, " ".join(said.getvalue().split()))
-        if cut is not None and len(set(stated.values())) == 1:
+        read = {name: np.asarray(channels[name][:]) for name in names}
+        columns = {name: values.astype(float_type_for(values.dtype), copy=False) for name, values in read.items()}
+        stated = {name: len(channels[name]) for name in names}
+        for name in names:  # with those that the last chunk states and lacks
+            status = (file.file_status.channel_statuses or {}).get(channels[name].path)
+            stated[name] += 0 if status is None else max(0, status.expected_length - status.read_length)
+        cut = _cut(path, columns, stated, printable(" ".join(said.getvalue().split())))
+        if cut and len(set(stated.values())) == 1:
             shortest = min(map(len, columns.values()))
             columns = {name: values[:shortest] for name, values in columns.items()}
-        return contents, columns, cut, undated
+        return contents, columns, cut + undated
 
 
-def _stated_samples(file: Any, channels: Mapping[str, Any]) -> dict[str, int]:
-    """Samples of each of the ``channels`` with those that the last chunk of ``file`` states and lacks."""
-    stated = {name: len(channel) for name, channel in channels.items()}
-    for name, channel in channels.items():
-        status = (file.file_status.channel_statuses or {}).get(channel.path)
-        stated[name] += 0 if status is None else max(0, status.expected_length - status.read_length)
-    return stated
+def _cut(path: Path, columns: Mapping[str, FloatArray], stated: dict[str, int], said: str) -> list[QualityFlag]:
+    """Flag of what ``path`` lacks of its end, none where it is whole; ``columns`` of ``stated`` lengths are in it.
 
-
-def _cut(path: Path, columns: Mapping[str, FloatArray], stated: dict[str, int], said: str) -> _Cut | None:
-    """What ``path`` lacks of its end, None where it is whole; ``columns`` of ``stated`` lengths are in it."""
+    ``said`` is what nptdms told of it. Raises InputError where too much is lacking.
+    """
     size, end = path.stat().st_size, _stated_bytes(path)
     if end == size:
-        return None
-    there, all_of_it = min(map(len, columns.values()), default=0), max(stated.values(), default=0)
+        return []
+    there, all_of_it = min(map(len, columns.values())), max(stated.values())
     samples = f"{there} samples are there" + (f" of {all_of_it} or more" if all_of_it > there else "")
+    lacks = f"truncated: {size} of {end} bytes: {samples}"
     if end is None:
-        return _Cut(1.0, f"its last segment was not written to its end: {samples}, and more may be lost", said)
-    return _Cut(size / end, f"{size} of {end} bytes: {samples}", said)
+        lacks = f"truncated: its last segment was not written to its end: {samples}, and more may be lost"
+    elif size < _MIN_PRESENT * end:
+        raise InputError(lacks, found=said or None, remedy="Copy it again")
+    return [flag(path, "missing_data", "suspect", f"{lacks} ({said})" if said else lacks)]
 
 
 def _stated_bytes(path: Path) -> int | None:
@@ -265,18 +243,17 @@ def _mdf(parser: Any, path: Path, wanted: dict[str, _Place]) -> dict[str, FloatA
     """Columns by name."""
     columns: dict[str, FloatArray] = {}
     with parser(str(path)) as file:
-        names = list(file.groups)
         for name, place in wanted.items():
-            channels = names[place.group].channels
+            channels = file.groups[place.group].channels
             if place.number >= 0:
                 column = _samples(file, channels[place.number].name, place.group, place.number)
                 assert column is not None  # its first sample was a real number
-                columns[name] = column
-                continue
-            master = channels[file.masters_db[place.group]]
-            stamps = np.asarray(file.get_master(place.group), dtype=np.float64)
-            radians = place.unit == "deg" and str(master.unit).strip().lower() in ("rad", "radian", "radians", "")
-            columns[name] = np.rad2deg(stamps) if radians else stamps
+            else:
+                stated = str(channels[file.masters_db[place.group]].unit).strip().lower()
+                column = np.asarray(file.get_master(place.group), dtype=np.float64)
+                if place.unit == "deg" and stated in ("rad", "radian", "radians", ""):
+                    column = np.rad2deg(column)
+            columns[name] = column
     return columns
 
 
@@ -314,17 +291,6 @@ def _graded(times: TimeColumn) -> list[QualityFlag]:
     return times.flags
 
 
-def _ide_channels(file: Any) -> Mapping[str, Any]:
-    """Values over time, by name, of the channels that hold any, of the first session."""
-    if len(file.sessions) > 1:
-        raise InputError(
-            f"holds {len(file.sessions)} sessions", file=file.filename, remedy="Export each to a file of its own"
-        )
-    parts = [part for channel in file.channels.values() for part in channel.subchannels]
-    sessions = [(str(part.displayName or part.name), part.getSession()) for part in parts]
-    return by_distinct_name([(name, values) for name, values in sessions if len(values)])
-
-
 def _ide(
     parser: Any, path: Path, sources: Sequence[Source], settings: IngestSettings
 ) -> tuple[Contents, dict[str, FloatArray], list[Floats], dict[str, int]]:
@@ -334,7 +300,12 @@ def _ide(
     stamps: list[Floats] = []
     of_sensor: dict[str, int] = {}
     with parser(str(path), quiet=True) as file:
-        channels = _ide_channels(file)
+        if len(file.sessions) > 1:
+            remedy = "Export each to a file of its own"
+            raise InputError(f"holds {len(file.sessions)} sessions", file=file.filename, remedy=remedy)
+        parts = [part for channel in file.channels.values() for part in channel.subchannels]
+        sessions = [(str(part.displayName or part.name), part.getSession()) for part in parts]
+        channels = by_distinct_name([(name, values) for name, values in sessions if len(values)])
         doubt = 0.0
         for name, values in channels.items():
             unit = html.unescape(str(values.units[1])) if values.units else ""
@@ -349,10 +320,9 @@ def _ide(
         for name in chosen:
             times, values = channels[name].arraySlice()
             columns[name] = np.array(values, dtype=np.float64)
-            if values.size < 3:
-                continue
-            times_s = _US * np.array(times, dtype=np.float64)
-            alike = (place for place, other in enumerate(stamps) if np.array_equal(other, times_s))
-            of_sensor[name] = next(alike, len(stamps))
-            stamps += [times_s] if of_sensor[name] == len(stamps) else []
+            if values.size >= 3:
+                times_s = _US * np.array(times, dtype=np.float64)
+                alike = (place for place, other in enumerate(stamps) if np.array_equal(other, times_s))
+                of_sensor[name] = next(alike, len(stamps))
+                stamps += [times_s] if of_sensor[name] == len(stamps) else []
     return Contents.of("IDE", described, rate_uncertainty=doubt), columns, stamps, of_sensor

@@ -8,10 +8,10 @@ from __future__ import annotations
 import csv
 import mmap
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from crankorder.ingest.rawfile import (
     Source,
     check_budget,
     flag,
+    line_at,
     names_of,
     rows_for,
     starts_by_date,
@@ -45,8 +46,7 @@ _FEW_LINES = 4096
 """Lines of times from which the contents of a file are told; reading it uses all."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Segment:
+class _Segment(NamedTuple):
     """One block of columns: names, cells of the header by their first, the first byte and number of lines of values.
 
     ``first`` is the first line of values.
@@ -72,8 +72,7 @@ class _Segment:
         return _separator(self.first) if len(self.names) > 1 else "\t"
 
 
-@dataclass(frozen=True, slots=True)
-class _Column:
+class _Column(NamedTuple):
     segment: _Segment
     place: int
     is_time: bool
@@ -83,8 +82,7 @@ class _Column:
         return "s" if self.is_time else self.segment.said("Y_Unit_Label", self.place)
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
+class _Layout(NamedTuple):
     encoding: str
     decimal_comma: bool
     columns: dict[str, _Column]
@@ -94,9 +92,8 @@ class _Layout:
         mine = [other for other in self.columns.values() if other.is_time and other.segment is column.segment]
         if column.segment.said("X_Dimension", column.place) not in ("Time", ""):
             return None
-        return max(
-            (other for other in mine if other.place <= column.place), key=lambda other: other.place, default=None
-        )
+        before = [other for other in mine if other.place <= column.place]
+        return max(before, key=lambda other: other.place, default=None)
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
@@ -110,27 +107,25 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     check_budget(path.stat().st_size, settings)
     layout = _layout(path)
     names = names_of(sources, tuple(layout.columns), path)
-    if not names:
-
-        def first_times(time: _Column) -> FloatArray:
-            return _read(path, layout, time.segment, [time.place], settings, most=_FEW_LINES)[0]
-
-        return _timing(layout, layout.columns, first_times, path, settings)[0].with_columns({}, ())
-    wanted = {name: layout.columns[name] for name in names.values()}
+    wanted = {name: layout.columns[name] for name in names.values()} or layout.columns
     times = [time for column in wanted.values() if (time := layout.times_of(column)) is not None]
+    asked = [*wanted.values(), *times] if names else times
     read: dict[tuple[int, int], FloatArray] = {}
-    for segment in {column.segment.begin: column.segment for column in wanted.values()}.values():
-        places = sorted({column.place for column in (*wanted.values(), *times) if column.segment is segment})
-        rows = _read(path, layout, segment, places, settings)
+    for segment in {column.segment.begin: column.segment for column in asked}.values():
+        places = sorted({column.place for column in asked if column.segment is segment})
+        rows = _read(path, layout, segment, places, settings, most=segment.n_lines if names else _FEW_LINES)
         read |= {(segment.begin, place): row for place, row in zip(places, rows, strict=True)}
-
-    def values_of(column: _Column) -> FloatArray:
-        return read[column.segment.begin, column.place]
-
-    contents, attrs, flags = _timing(layout, wanted, values_of, path, settings)
+    contents, attrs, flags = _timing(layout, wanted, read, path, settings)
+    if not names:
+        return contents.with_columns({}, ())
     flags += last_line_flags(path)
-    flags += [remark for column in wanted.values() if (remark := _missing(column, path)) is not None][:1]
-    columns = [values_of(wanted[name]) for name in names.values()]
+    for column in wanted.values():
+        declared, n_lines = column.segment.said("Samples", column.place), column.segment.n_lines
+        if declared.isdecimal() and len(declared) <= 18 and int(declared) > n_lines:
+            detail = f"the header promises {int(declared)} samples, {n_lines} are there"
+            flags.append(flag(path, "missing_data", "suspect", detail))
+            break
+    columns = [read[wanted[name].segment.begin, wanted[name].place] for name in names.values()]
     return contents.with_columns(names, columns, attrs=attrs, flags=flags)
 
 
@@ -181,9 +176,8 @@ def _segments(data: mmap.mmap, encoding: str) -> tuple[dict[str, list[str]], lis
 
 def _line(data: mmap.mmap, place: int, encoding: str) -> tuple[str, int]:
     """The line at ``place`` without its end, and where the next begins."""
-    end = data.find(b"\n", place)
-    end = len(data) if end < 0 else end
-    return data[place : min(end, place + _MOST_HEAD_BYTES)].decode(encoding, "replace").rstrip("\r"), end + 1
+    line, after = line_at(data, place, most_bytes=_MOST_HEAD_BYTES)
+    return line.decode(encoding, "replace"), after
 
 
 def _separator(line: str) -> str:
@@ -212,16 +206,10 @@ def _columns(segments: list[_Segment], *, with_times: bool) -> dict[str, _Column
 
 
 def _read(
-    path: Path,
-    layout: _Layout,
-    segment: _Segment,
-    places: list[int],
-    settings: IngestSettings,
-    *,
-    most: int | None = None,
+    path: Path, layout: _Layout, segment: _Segment, places: list[int], settings: IngestSettings, *, most: int
 ) -> list[FloatArray]:
-    """Values of the columns at ``places``, a piece at a time; empty cells at their ends are no samples."""
-    n_lines = segment.n_lines if most is None else min(most, segment.n_lines)
+    """Values of the columns at ``places`` in ``most`` lines, in pieces; empty cells at their ends are no samples."""
+    n_lines = min(most, segment.n_lines)
     rows = rows_for([(n_lines, np.float64)] * len(places), in_memory_bytes=settings.in_memory_bytes)
     done = 0
     try:
@@ -237,8 +225,6 @@ def _read(
                     row[done : done + len(frame)] = frame[place].to_numpy()
                 done += len(frame)
     except (ValueError, OverflowError) as error:
-        if isinstance(error, InputError):
-            raise
         cell = printable(str(error).split("\n")[0], 80)
         line = f"line {done + 1} of the values or below"
         raise InputError("a cell is no number", place=line, found=cell, remedy="Mend the cell") from None
@@ -248,15 +234,15 @@ def _read(
 
 
 def _timing(
-    layout: _Layout, columns: Mapping[str, _Column], stamps: Callable[[_Column], FloatArray], path: Path,
+    layout: _Layout, columns: Mapping[str, _Column], read: Mapping[tuple[int, int], FloatArray], path: Path,
     settings: IngestSettings,
 ) -> tuple[Contents, dict[str, float], list[QualityFlag]]:  # fmt: skip
     """Units, rates and starts of ``columns`` by name, attributes of the file, flags.
 
-    ``stamps`` gives the values of a column of times, which is asked for once for all channels of one step.
+    ``read`` holds the values of their columns of times, by the first byte of the segment and the place in it.
     """
     kinds: dict[tuple[object, ...], tuple[float | None, dict[str, float], list[QualityFlag]]] = {}
-    rates: dict[str, float] = {}
+    rates: dict[str, float | None] = {}
     starts: dict[str, float] = {}
     dates: dict[str, np.datetime64] = {}
     for name, column in columns.items():
@@ -265,9 +251,8 @@ def _timing(
         first, own = segment.channel_from(begin), segment.channel_from(column.place)
         kind = (segment.begin, None if time is None else begin, segment.said("Delta_X", own))
         if kind not in kinds:
-            kinds[kind] = _rate(segment, own, None if time is None else stamps(time), path, settings)
-        rate_hz, attrs, _ = kinds[kind]
-        rates |= {} if rate_hz is None else {name: rate_hz}
+            kinds[kind] = _rate(segment, own, None if time is None else read[segment.begin, begin], path, settings)
+        rates[name], attrs, _ = kinds[kind]
         first_s, own_s = (_number(segment.said("X0", place)) or 0.0 for place in (first, own))
         starts[name] = own_s if time is None else attrs["start_s"] + own_s - first_s
         date, of_day = segment.said("Date", own).replace("/", "-"), segment.said("Time", own).replace(",", ".")
@@ -276,14 +261,8 @@ def _timing(
     starts, flags = starts_by_date({name: date for name, date in dates.items() if not np.isnat(date)}, starts, path)
     flags += [remark for _, _, remarks in kinds.values() for remark in remarks]
     attrs = next(iter(kinds.values()))[1]
-    described = {
-        name: Described(None, column.unit, rates.get(name), starts.get(name)) for name, column in columns.items()
-    }
-    return (
-        Contents.of("LVM", described, rate_uncertainty=attrs["rate_uncertainty"]),
-        attrs,
-        flags,
-    )
+    described = {name: Described(None, at.unit, rates[name], starts.get(name)) for name, at in columns.items()}
+    return Contents.of("LVM", described, rate_uncertainty=attrs["rate_uncertainty"]), attrs, flags
 
 
 def _rate(
@@ -316,12 +295,3 @@ def _number(text: str) -> float | None:
     except ValueError:
         return None
     return value if np.isfinite(value) else None
-
-
-def _missing(column: _Column, path: Path) -> QualityFlag | None:
-    """Flag where the header promises more samples than there are lines."""
-    declared = column.segment.said("Samples", column.place)
-    if not declared.isdecimal() or len(declared) > 18 or int(declared) <= column.segment.n_lines:
-        return None
-    detail = f"the header promises {int(declared)} samples, {column.segment.n_lines} are there"
-    return flag(path, "missing_data", "suspect", detail)

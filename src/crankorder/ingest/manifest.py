@@ -11,7 +11,7 @@ import fnmatch
 import re
 import stat
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, get_args
@@ -19,13 +19,13 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError
 from pydantic import field_validator as field_check
 
-from crankorder.engine.machine_parts import AddedMass, Bearing, Motor, StatedPath, bearing_orders
+from crankorder.engine.machine_parts import AddedMass, Bearing, Motor, StatedPath, bearing_orders, stated
 from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, told
-from crankorder.ingest.channel import Channel as Channel
-from crankorder.ingest.channel import Limit, Rotor, channel_faults, limit_faults
+from crankorder.ingest.channel import Channel, Limit, Rotor, channel_faults, limit_faults
 from crankorder.ingest.encoder_table import (
     NAMED_PART,
     TIME_KINDS,
+    TRACE_KINDS,
     Count,
     Encoder,
     Name,
@@ -35,8 +35,8 @@ from crankorder.ingest.encoder_table import (
     Table,
     Teeth,
     encoder_faults,
+    optional,
 )
-from crankorder.ingest.encoder_table import TRACE_KINDS as TRACE_KINDS
 from crankorder.ingest.units import Unit
 
 _KEY = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"
@@ -128,13 +128,11 @@ def with_tables(paths: tuple[StatedPath, ...], folder: Path) -> tuple[tuple[Stat
         try:
             points = _points(folder, path.table)
             read.append(StatedPath.model_validate(path.model_dump() | {"points": points}))
-        except RequestError as fault:
-            problem, remedy = f"{path.table}: {fault.problem}", fault.remedy
-            place = f"transfer_paths.{number}.table"
-            faults.append(RequestError(problem, place=place, found=fault.found, allowed=fault.allowed, remedy=remedy))
-        except ValidationError as error:
-            problem = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
-            faults.append(RequestError(f"{path.table}: {problem}", place=f"transfer_paths.{number}.table"))
+        except (RequestError, ValidationError) as error:
+            said = "" if isinstance(error, RequestError) else str(error.errors()[0]["msg"])
+            fault = error if isinstance(error, RequestError) else RequestError(said.removeprefix("Value error, "))
+            fault.problem, fault.place = f"{path.table}: {fault.problem}", f"transfer_paths.{number}.table"
+            faults.append(fault)
     return tuple(read), faults
 
 
@@ -190,36 +188,32 @@ class Test(Table):
 
     __test__ = False  # not a pytest class, in spite of its name
 
-    cycle: Literal["four-stroke", "two-stroke", "rotor", "none"] = Field(
-        description="A cycle of 720° (four-stroke), of 360° (two-stroke), no cycle (rotor), nothing that turns (none).",
-        examples=["four-stroke"],
+    cycle: Literal["four-stroke", "two-stroke", "rotor", "none"] = stated(
+        "A cycle of 720° (four-stroke), of 360° (two-stroke), no cycle (rotor), nothing that turns (none).",
+        "four-stroke",
     )
-    name: str = Field(default="", description="Name of the test; the folder's where empty.", examples=["second build"])
-    engine: Name | None = Field(
-        default=None, description="A shipped engine, or the path of an engine file.", examples=["msu-optical-second"]
-    )
-    recipe: Name | None = Field(
-        default=None, description="A shipped recipe, or the path of a recipe file.", examples=["coast-down"]
-    )
+    name: str = stated("Name of the test; the folder's where empty.", "second build", default="")
+    engine: Name | None = optional("A shipped engine, or the path of an engine file.", "msu-optical-second")
+    recipe: Name | None = optional("A shipped recipe, or the path of a recipe file.", "coast-down")
 
 
 class Recordings(Table):
     """``[recordings]``: which files, relative to the folder, and their speeds where no file states them."""
 
-    files: Annotated[tuple[Name, ...], Field(strict=False)] = Field(
-        description="Names or patterns of the recordings, relative to the folder; {step} is as *, and encoder.file may "
-        "repeat it.",
-        examples=[["rpm_*.h5"]],
+    files: tuple[Name, ...] = stated(
+        "Names or patterns of the recordings, relative to the folder; {step} is as *, and encoder.file may repeat it.",
+        ["rpm_*.h5"],
+        strict=False,
     )
-    speed_rpm: dict[str, Positive] = Field(
-        default={}, description="Speed of each file in rpm, where no file states it.", examples=[{"idle.csv": 800.0}]
+    speed_rpm: dict[str, Positive] = stated(
+        "Speed of each file in rpm, where no file states it.", {"idle.csv": 800.0}, default={}
     )
 
     @field_check("speed_rpm")
     @classmethod
-    def _names_are_paths(cls, stated: dict[str, float]) -> dict[str, float]:
+    def _names_are_paths(cls, speeds: dict[str, float]) -> dict[str, float]:
         named: dict[str, float] = {}
-        for name, speed_rpm in stated.items():
+        for name, speed_rpm in speeds.items():
             path = PurePosixPath(name.replace("\\", "/")).as_posix()
             if path in named:
                 raise ValueError(f"two speeds are stated for {path}")
@@ -230,29 +224,21 @@ class Recordings(Table):
 class Sampling(Table):
     """``[sampling]``: the axis of the samples."""
 
-    domain: Literal["time", "crank_angle"] = Field(
-        default="time", description="What the samples are evenly spaced in.", examples=["crank_angle"]
+    domain: Literal["time", "crank_angle"] = stated(
+        "What the samples are evenly spaced in.", "crank_angle", default="time"
     )
-    rate_hz: Positive | None = Field(
-        default=None, description="Samples per second, where the file does not say.", examples=[10000.0]
-    )
-    time_source: Source | None = Field(
-        default=None, description="Column of times in s, from which the rate is taken.", examples=["time"]
-    )
-    samples_per_rev: Count | None = Field(
-        default=None, description="Samples per crank revolution; needed with crank_angle.", examples=[720]
-    )
-    start_deg: float = Field(
-        default=0.0, description="Crank angle of the first sample, from top dead centre.", examples=[-360.0]
-    )
+    rate_hz: Positive | None = optional("Samples per second, where the file does not say.", 10000.0)
+    time_source: Source | None = optional("Column of times in s, from which the rate is taken.", "time")
+    samples_per_rev: Count | None = optional("Samples per crank revolution; needed with crank_angle.", 720)
+    start_deg: float = stated("Crank angle of the first sample, from top dead centre.", -360.0, default=0.0)
 
 
 class Gear(Table):
     """``[[gears]]``: a wheel whose teeth mesh, or a rotor whose blades pass, ``ratio`` turns per crank revolution."""
 
-    name: Name = Field(description="What results call it.", examples=["input stage"])
-    teeth: Teeth = Field(description="Teeth of the wheel, or blades of the rotor.", examples=[23])
-    ratio: Ratio = Field(default=1.0, description="Its turns per crank revolution, to the last digit.", examples=[0.5])
+    name: Name = stated("What results call it.", "input stage")
+    teeth: Teeth = stated("Teeth of the wheel, or blades of the rotor.", 23)
+    ratio: Ratio = stated("Its turns per crank revolution, to the last digit.", 0.5, default=1.0)
 
     @property
     def mesh_order(self) -> float:
@@ -271,7 +257,7 @@ class Gear(Table):
 class Manifest(Table):
     """A test-run folder, as ``run.toml`` describes it."""
 
-    schema_version: Literal[1] = Field(description="Version of this format.", examples=[1])
+    schema_version: Literal[1] = stated("Version of this format.", 1)
     test: Test
     recordings: Recordings
     channels: Annotated[tuple[Channel, ...], Field(strict=False)] = ()
@@ -344,7 +330,6 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     """
     path = folder / MANIFEST_NAME if manifest is None else manifest
     text = _text_of(path, folder)
-    _refuse_endless(text, path)
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -360,12 +345,11 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     if isinstance(version, int) and version > SCHEMA_VERSION:
         problem, allowed, remedy = "written for a newer crankorder", str(SCHEMA_VERSION), "Update crankorder"
         raise RequestError(problem, file=path, place="schema_version", found=version, allowed=allowed, remedy=remedy)
-    stated = manifest_of(table, path, text)
-    paths, unread = with_tables(stated.transfer_paths, folder)
+    found = manifest_of(table, path, text)
+    paths, unread = with_tables(found.transfer_paths, folder)
     if unread:
-        lines = key_lines(text)
-        raise ManyErrors([_located(fault, path, lines) for fault in unread])
-    return stated.model_copy(update={"transfer_paths": paths}).of_folder(folder)
+        raise _refusal(unread[:MOST_TOLD], len(unread), path, text)
+    return found.model_copy(update={"transfer_paths": paths}).of_folder(folder)
 
 
 def manifest_of(table: Mapping[str, object], path: Path, text: str = "") -> Manifest:
@@ -376,15 +360,23 @@ def manifest_of(table: Mapping[str, object], path: Path, text: str = "") -> Mani
     try:
         found = Manifest.model_validate(table)
     except ValidationError as error:
-        several, lines = error.errors(include_url=False), key_lines(text)
-        faults: list[CrankorderError] = [_fault(fault, path, lines) for fault in several[:MOST_TOLD]]
-        raise ManyErrors(told(faults, len(several), file=path)) from None
-    crossed = list(_cross_faults(found))
-    if crossed:
-        lines = key_lines(text)
-        faults = [_located(fault, path, lines) for fault in crossed[:MOST_TOLD]]
-        raise ManyErrors(told(faults, len(crossed), file=path))
+        several = error.errors(include_url=False)
+        raise _refusal(map(_fault, several[:MOST_TOLD]), len(several), path, text) from None
+    if crossed := list(_cross_faults(found)):
+        raise _refusal(crossed[:MOST_TOLD], len(crossed), path, text)
     return found
+
+
+def _refusal(faults: Iterable[RequestError], count: int, path: Path, text: str) -> ManyErrors:
+    """The error of the first ``faults``, of ``count``, of a manifest, each with the line of ``text`` it is about."""
+    lines, located = key_lines(text), list[CrankorderError]()
+    for fault in faults:
+        key = fault.place
+        while key not in lines and "." in key:
+            key = key.rpartition(".")[0]
+        fault.file = f"{path}:{lines[key]}" if key in lines else str(path)
+        located.append(fault)
+    return ManyErrors(told(located, count, file=path))
 
 
 def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, object]]) -> dict[str, object]:
@@ -397,68 +389,49 @@ def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, object]
     }
 
 
-def _refuse_endless(text: str, path: Path) -> None:
-    """Refuse the ``text`` of a manifest that would take minutes to look through."""
-    counts = {"keys": (text.count("="), _MOST_KEYS), "tables": (text.count("[["), _MOST_TABLES)}
-    for what, (found, most) in counts.items():
-        if found > most:
-            raise RequestError(f"too many {what} for a manifest", file=path, found=found, allowed=f"up to {most}")
-    if _LONG_KEY.search(text):
-        raise RequestError("too long a key", file=path, allowed="names of up to 1000 characters")
-
-
 def _text_of(path: Path, folder: Path) -> str:
+    """Text of the manifest at ``path``; one that would take minutes to look through is refused."""
     init = f"Run `crankorder init {folder}` for a draft, or give one with --manifest FILE"
     try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):
+        if not stat.S_ISREG(path.stat().st_mode):
             raise RequestError("the manifest is not a regular file", file=path, remedy=init)
         if path.stat().st_size > _MAX_MANIFEST_BYTES:
             raise RequestError("too large for a manifest", file=path, allowed=f"{_MAX_MANIFEST_BYTES} bytes")
-        return path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
+        text = path.read_bytes().decode("utf-8-sig").replace("\r\n", "\n")
     except FileNotFoundError:
         problem = "there is no manifest" if folder.is_dir() else "there is no such folder"
         raise RequestError(problem, file=path, remedy=init) from None
     except UnicodeDecodeError as error:
-        raise RequestError(
-            "not UTF-8 text", file=path, place=f"byte {error.start}", remedy="Save it as UTF-8"
-        ) from None
+        place, remedy = f"byte {error.start}", "Save it as UTF-8"
+        raise RequestError("not UTF-8 text", file=path, place=place, remedy=remedy) from None
     except (OSError, ValueError) as error:
         if isinstance(error, CrankorderError):
             raise
         raise RequestError("the manifest cannot be read", file=path, found=error) from None
+    for what, sign, most in (("keys", "=", _MOST_KEYS), ("tables", "[[", _MOST_TABLES)):
+        if (found := text.count(sign)) > most:
+            raise RequestError(f"too many {what} for a manifest", file=path, found=found, allowed=f"up to {most}")
+    if _LONG_KEY.search(text):
+        raise RequestError("too long a key", file=path, allowed="names of up to 1000 characters")
+    return text
 
 
-def _fault(fault: Any, path: Path, lines: dict[str, int]) -> RequestError:
-    """One pydantic fault as a RequestError with key path and line."""
-    key = ".".join(str(part) for part in fault["loc"])
-    cause = fault.get("ctx", {}).get("error")
+def _fault(fault: Any) -> RequestError:
+    """One pydantic fault as a RequestError with key path."""
+    place, cause = ".".join(map(str, fault["loc"])), fault.get("ctx", {}).get("error")
     if isinstance(cause, RequestError):
-        found, allowed, problem, remedy = cause.found, cause.allowed, cause.problem, cause.remedy
-    elif fault["type"] == "extra_forbidden":
+        cause.place = place
+        return cause
+    if fault["type"] == "extra_forbidden":
         known = _keys_of(Manifest, fault["loc"][:-1])
         close = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
-        found, allowed, problem = "", ", ".join(known), "unknown key"
         remedy = f"Did you mean {close[0]!r}?" if close else "Remove it or mend its spelling"
-    elif fault["type"] == "missing":
-        found, allowed, problem, remedy = "", "", "this key is missing", "Add it"
-    else:
-        found, allowed, remedy = repr(fault["input"]), "", ""
-        problem = str(fault["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
-        problem = problem if problem != fault["msg"] else problem.lower()
-        problem = f"must be {problem}" if str(fault["msg"]).startswith("Input should be ") else problem
-    return _located(RequestError(problem, place=key, found=found, allowed=allowed, remedy=remedy), path, lines)
-
-
-def _located(fault: RequestError, path: Path, lines: dict[str, int]) -> RequestError:
-    key, line = fault.place, lines.get(fault.place)
-    while line is None and "." in key:
-        key = key.rpartition(".")[0]
-        line = lines.get(key)
-    fault.file = str(path) if line is None else f"{path}:{line}"
-    return RequestError(
-        fault.problem, file=fault.file, place=fault.place, found=fault.found, allowed=fault.allowed, remedy=fault.remedy
-    )
+        return RequestError("unknown key", place=place, allowed=", ".join(known), remedy=remedy)
+    if fault["type"] == "missing":
+        return RequestError("this key is missing", place=place, remedy="Add it")
+    said = str(fault["msg"])
+    problem = re.sub("^Input should be ", "must be ", said).removeprefix("Value error, ")
+    return RequestError(said.lower() if problem == said else problem, place=place, found=repr(fault["input"]))
 
 
 def _keys_of(model: type[BaseModel], location: tuple[str | int, ...]) -> list[str]:
@@ -505,5 +478,5 @@ def _cross_faults(manifest: Manifest) -> Iterator[RequestError]:
         yield RequestError("a motor needs poles, rotor_bars or stator_slots", place="motor", remedy=remedy)
     yield from limit_faults(manifest.limits, named, manifest.rotor, sampling.rate_hz)
     yield from path_faults(manifest.transfer_paths, {name: channel.analysed_unit for name, channel in named.items()})
-    stated = bool(manifest.recordings.speed_rpm)
-    yield from encoder_faults(encoder, cycle=test.cycle, domain=sampling.domain, speeds_stated=stated)
+    has_speeds = bool(manifest.recordings.speed_rpm)
+    yield from encoder_faults(encoder, cycle=test.cycle, domain=sampling.domain, speeds_stated=has_speeds)

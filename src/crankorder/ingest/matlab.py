@@ -10,6 +10,7 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -63,15 +64,11 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
             found = ", ".join(sorted(others))
             remedy = "Save numbers as plain arrays: tables, time series and text are not read"
             raise InputError("holds no array of numbers", found=found, remedy=remedy if found else "Copy it again")
-        columns: dict[str, Array] = {}
-        for name, values in arrays.items():
-            columns |= _columns(name, values)
+        columns = dict(chain.from_iterable(_columns(name, values).items() for name, values in arrays.items()))
         scalars = {name: float(values.item()) for name, values in arrays.items() if values.size == 1}
         names = names_of(sources, (*columns, *scalars), path).values()
         wanted = {name: columns[name] if name in columns else np.array([scalars[name]]) for name in names}
-        floats: dict[str, FloatArray] = {
-            name: values.astype(float_type_for(values.dtype)) for name, values in wanted.items()
-        }
+        floats = {name: values.astype(float_type_for(values.dtype)) for name, values in wanted.items()}
         return _contents(columns, scalars), floats, twice
 
     n_bytes = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
@@ -182,8 +179,7 @@ def _rate_hz(scalars: Mapping[str, float], name: str) -> float | None:
     """
     stated = {key: rate for key, value in scalars.items() if (rate := _stated_hz(key, value)) is not None}
     group = name.rpartition(".")[0]
-    beside = [rate for key, rate in stated.items() if key.rpartition(".")[0] == group]
-    rates = beside or list(stated.values())
+    rates = [rate for key, rate in stated.items() if key.rpartition(".")[0] == group] or list(stated.values())
     return rates[0] if rates and max(rates) - min(rates) <= 1e-6 * rates[0] else None
 
 

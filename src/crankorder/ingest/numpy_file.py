@@ -38,8 +38,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     table = whole[part_of(len(whole), rows)]
     chosen = names_of(sources, names, path)
     wanted = [names.index(name) for name in chosen.values()]
-    target = float_type_for(table.dtype)
-    kinds = [(len(table), float_type_for(table.dtype[index]) if table.dtype.names else target) for index in wanted]
+    types = [table.dtype[index] if table.dtype.names else table.dtype for index in wanted]
+    kinds = [(len(table), float_type_for(dtype)) for dtype in types]
     room = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
     for part in blocks(len(table) if wanted else 0):
         piece = table[part]  # a column of an interleaved table costs as much as all of it: each page is read once
@@ -56,18 +56,15 @@ def _table(path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
             data = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as error:  # a header is read as Python's literals: whatever its parser raises, it is damaged
         if "Python objects" in str(error) or "pickle" in str(error):
-            raise UnsafeInputError(
-                "holds Python objects, a pickle that can run code: never opened", remedy="Save an array of numbers"
-            ) from None
+            problem = "holds Python objects, a pickle that can run code: never opened"
+            raise UnsafeInputError(problem, remedy="Save an array of numbers") from None
         raise InputError("is damaged or truncated", found=error, remedy="Copy it again") from None
     if not isinstance(data, np.memmap):
         raise InputError("is no array of signals", found=type(data).__name__, allowed="one array")
     dtype = data.dtype
-    kinds = {dtype[index].kind for index in range(len(dtype.names))} if dtype.names else {dtype.kind}
-    flat = all(not dtype[index].shape for index in range(len(dtype.names or ())))
-    if not kinds <= set("iufb") or not flat:
-        remedy = "Save an array of integers or floats"
-        raise InputError("holds no real numbers", found=str(dtype), remedy=remedy)
+    fields = [dtype[name] for name in dtype.names] if dtype.names else [dtype]
+    if any(field.kind not in "iufb" or field.shape for field in fields):
+        raise InputError("holds no real numbers", found=str(dtype), remedy="Save an array of integers or floats")
     check_budget(data.size * max(4, dtype.itemsize), settings)
     sides = [side for side in data.shape if side != 1] or [1]
     if data.size == 0 or len(sides) > 2 or (len(sides) == 2 and (min(sides) > _MOST_COLUMNS or dtype.names)):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
+import mmap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -68,15 +70,13 @@ class Contents:
     @classmethod
     def of(cls, kind: str, columns: Mapping[str, Described], *, rate_uncertainty: float = 0.0) -> Contents:
         """Contents of a file of the format ``kind`` with ``columns`` by name; ``rate_uncertainty`` is relative."""
-        return cls(
-            kind,
-            tuple(columns),
-            {name: column.n_samples for name, column in columns.items() if column.n_samples is not None},
-            {name: column.unit for name, column in columns.items() if column.unit},
-            {name: column.rate_hz for name, column in columns.items() if column.rate_hz is not None},
-            {name: column.start_s for name, column in columns.items() if column.start_s is not None},
-            rate_uncertainty,
-        )
+
+        def told(field: str) -> dict[str, Any]:
+            values = {name: getattr(column, field) for name, column in columns.items()}
+            return {name: value for name, value in values.items() if value not in (None, "")}
+
+        samples, units, rates, starts = told("n_samples"), told("unit"), told("rate_hz"), told("start_s")
+        return cls(kind, tuple(columns), samples, units, rates, starts, rate_uncertainty)
 
     def with_columns(self, names: Mapping[Source, str], columns: Iterable[FloatArray], **further: Any) -> RawFile:
         """RawFile of the ``columns`` (samples,) that were asked for, with unit, rate and start of each from here.
@@ -150,11 +150,9 @@ def named(source: Source, names: Sequence[str], path: Path) -> str:
         return fitting[0]
     shown = listed([printable(name, 60) for name in names], 20, counted=True)
     close = difflib.get_close_matches(str(source), names, n=1)
-    raise InputError(
-        f"channel {printable(source, 60)} not in file; has {shown or 'nothing that holds samples'}",
-        file=path,
-        remedy=f"Did you mean {printable(close[0], 60)!r}?" if close else "Mend the source in the manifest",
-    )
+    problem = f"channel {printable(source, 60)} not in file; has {shown or 'nothing that holds samples'}"
+    remedy = f"Did you mean {printable(close[0], 60)!r}?" if close else "Mend the source in the manifest"
+    raise InputError(problem, file=path, remedy=remedy)
 
 
 def names_of(sources: Sequence[Source], names: Sequence[str], path: Path) -> dict[Source, str]:
@@ -169,10 +167,8 @@ def distinct(names: Sequence[str]) -> tuple[str, ...]:
     """``names`` of columns, with a number behind each that comes again: "acc", "acc (2)"."""
     given: list[str] = []
     for name in names:
-        own, number = name, 2
-        while own in given:
-            own, number = f"{name} ({number})", number + 1
-        given.append(own)
+        numbered = (f"{name} ({number})" for number in count(2))
+        given.append(next(own for own in chain([name], numbered) if own not in given))
     return tuple(given)
 
 
@@ -199,21 +195,26 @@ def starts_by_date(
     return starts, [flag(path, "start_unknown", "suspect", detail)] if unset else []
 
 
+def line_at(data: mmap.mmap, place: int, *, most_bytes: int) -> tuple[bytes, int]:
+    """The line of ``data`` at ``place`` without its end, cut to ``most_bytes``, and where the next one begins."""
+    end = data.find(b"\n", place)
+    end = len(data) if end < 0 else end
+    return data[place : min(end, place + most_bytes)].rstrip(b"\r"), end + 1
+
+
 def part_of(n_samples: int, rows: slice | None) -> slice:
     """The samples of a column of ``n_samples`` that ``rows`` ask for: all where None."""
     first, last, _ = (rows or slice(None)).indices(n_samples)
     return slice(first, max(first, last))
 
 
-def float_type_for(dtype: np.dtype[Any]) -> type[np.float32] | type[np.float64]:
+def float_type_for(dtype: np.dtype[Any]) -> type[np.floating[Any]]:
     """The smaller of float32 and float64 that holds every number of ``dtype`` (integers or floats)."""
     small = dtype.itemsize <= 2 or (dtype.kind == "f" and dtype.itemsize == 4)
     return np.float32 if small else np.float64
 
 
-def rows_for(
-    kinds: Sequence[tuple[int, type[np.float32] | type[np.float64]]], *, in_memory_bytes: int
-) -> list[FloatArray]:
+def rows_for(kinds: Sequence[tuple[int, type[np.floating[Any]]]], *, in_memory_bytes: int) -> list[FloatArray]:
     """Row (samples,) to be filled for each of ``kinds``, pairs of a number of samples and a type.
 
     Rows of one kind are neighbours in one block. All lie on disk where together they exceed ``in_memory_bytes``. Raises
@@ -237,26 +238,18 @@ def check_budget(n_bytes: int, settings: IngestSettings) -> None:
     Raises UnsafeInputError with both numbers.
     """
     if n_bytes > settings.max_bytes:
-        raise UnsafeInputError(
-            f"claims {n_bytes} bytes of samples",
-            allowed=f"{settings.max_bytes} bytes (ingest.max_bytes)",
-            remedy="Check the file, or raise ingest.max_bytes in a recipe",
-        )
+        allowed = f"{settings.max_bytes} bytes (ingest.max_bytes)"
+        remedy = "Check the file, or raise ingest.max_bytes in a recipe"
+        raise UnsafeInputError(f"claims {n_bytes} bytes of samples", allowed=allowed, remedy=remedy)
 
 
 def stacked(rows: Sequence[FloatArray]) -> FloatArray:
     """``rows``, each (samples,), as one array (channels, samples); no copy where they are neighbours in one block."""
     base = rows[0].base
     if isinstance(base, np.ndarray) and base.ndim == 2 and base.flags.writeable and base.flags.c_contiguous:
-        step = base.strides[0]
-        first = rows[0].ctypes.data
-        places = [first + number * step for number in range(len(rows))]
-        neighbours = all(row.base is base and row.ctypes.data == at for row, at in zip(rows, places, strict=True))
-        start = (first - base.ctypes.data) // step if step else 0
-        if neighbours and base.shape[1] == rows[0].size:
-            block: FloatArray = base[start : start + len(rows)]
+        start = (rows[0].ctypes.data - base.ctypes.data) // max(base.strides[0], 1)
+        block: FloatArray = base[start : start + len(rows)]
+        own = (row.base is base and row.ctypes.data == at.ctypes.data for row, at in zip(rows, block, strict=False))
+        if block.shape == (len(rows), rows[0].size) and all(own):
             return block
-    rows_together = empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows))
-    for number, row in enumerate(rows):
-        rows_together[number] = row
-    return rows_together
+    return np.stack(rows, out=empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows)))

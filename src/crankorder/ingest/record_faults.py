@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from crankorder.ingest.signal_faults import (
     joined,
     lengths_of,
     root_mean_square,
+    sized,
     spans_of,
     survey,
 )
@@ -61,6 +63,7 @@ _LEAST_LAG = 3
 
 _AHEAD, _OUT = 2, 12
 """Samples about the middle that a spike may take, and how far its neighbours reach: in so many a strike still rings."""
+_MIDDLE = np.s_[_OUT - _AHEAD : _OUT + _AHEAD + 1]
 
 _DEGREE = 3
 
@@ -86,11 +89,8 @@ MAY_HAVE_LEVELS = frozenset(
 )
 """Quantities of which a signal may stand at a few levels."""
 
-_IMPACTS = frozenset({"force"})
 
-
-@dataclass(frozen=True, slots=True)
-class _Channel:
+class _Channel(NamedTuple):
     """A channel of a recording: its ``samples`` (sample,) and what short blocks of them hold; ``faults`` take more.
 
     ``size`` is the root mean square, NaN where too much is missing.
@@ -118,13 +118,11 @@ class _Channel:
 def find_copies(channels: Sequence[_Channel]) -> None:
     """Flag each of ``channels`` that equals an earlier one."""
     n_samples = channels[0].samples.size
-    step = max(n_samples // 64, 1)
+    few = slice(None, None, max(n_samples // 64, 1))
+    parts = (few, *blocks(n_samples))
     for number, later in enumerate(channels):
-        for earlier in channels[:number]:
-            few = later.samples[::step]
-            if not np.array_equal(earlier.samples[::step], few) or not np.ptp(few) > 0.0:
-                continue
-            if all(np.array_equal(earlier.samples[part], later.samples[part]) for part in blocks(n_samples)):
+        for earlier in channels[:number] if np.ptp(later.samples[few]) > 0.0 else ():
+            if all(np.array_equal(earlier.samples[part], later.samples[part]) for part in parts):
                 detail = f"the same samples as channel {earlier.name}: one of the two was not measured"
                 later.faults.append(SignalFault("copied_channel", "suspect", detail))
                 break
@@ -144,9 +142,8 @@ def find_dead(channels: Sequence[_Channel], *, settings: IngestSettings) -> None
         if not _shows_lines(own.samples, max(others, key=lambda each: each.size).samples):
             steps = _steps(own.samples)
             rest = f"within {steps} steps of its converter" if steps <= settings.dead_steps else "noise alone"
-            below = f"{typical / own.size:.3g} times below the others, none of whose lines it shows"
-            detail = f"{rest}, {below}: dead or not connected"
-            own.faults.append(SignalFault("dead_sensor", "bad", detail, is_lost=True))
+            below = f"{typical / own.size:.3g} times below the others, none of whose lines it shows: "
+            own.faults.append(SignalFault("dead_sensor", "bad", f"{rest}, {below}dead or not connected", is_lost=True))
 
 
 def _steps(signal: FloatArray) -> int:
@@ -250,9 +247,9 @@ def find_level_steps(channels: Sequence[_Channel], *, settings: IngestSettings) 
         abrupt = abs(float(level[at + 1] - level[at - 2]))
         if scatter > _AGREE * abs(step) or moved > _AGREE * abs(step) or abrupt < 0.7 * abs(step):
             continue
-        samples = at * group * surveys[number].size
-        factor, span = f"a factor of {np.exp(step):.3g}", spans_of((samples, surveys[number].n_samples))
-        detail = f"the level changes by {factor} at once, that of the others does not: gain or seat"
+        span = spans_of((at * group * surveys[number].size, surveys[number].n_samples))
+        change = f"the level changes by a factor of {np.exp(step):.3g} at once"
+        detail = f"{change}, that of the others does not: gain or seat"
         channels[number].faults.append(SignalFault("level_step", "suspect", detail, span))
 
 
@@ -262,8 +259,7 @@ def _largest_step(level: np.ndarray) -> tuple[int, float]:
     total = np.cumsum(level)
     before = total[splits - 1] / splits
     after = (total[-1] - total[splits - 1]) / (len(level) - splits)
-    gain = np.square(after - before) * splits * (len(level) - splits)
-    best = int(np.argmax(gain))
+    best = int(np.argmax(np.square(after - before) * splits * (len(level) - splits)))
     return int(splits[best]), float(after[best] - before[best])
 
 
@@ -273,7 +269,6 @@ def find_smoothed_clipping(channel: _Channel, *, settings: IngestSettings) -> No
     It is only "suspect" where one side alone is clipped. ``settings`` say what a plateau is. The flag is "bad" only
     where the channel measures vibration, and the rest of it is smaller on the plateaus than between them.
     """
-    without_doubt = channel.is_vibration
     samples = _strongest(channel.samples, channel.survey)
     if samples.size < _PIECE:
         return
@@ -283,24 +278,20 @@ def find_smoothed_clipping(channel: _Channel, *, settings: IngestSettings) -> No
     apart, ordered = samples - middle, ordered - middle
     sides = [_pile_up(sign * apart, sign * ordered[at], settings) for sign, at in ((1, places), (-1, -1 - places))]
     plateaus = [(sign, *side) for sign, side in zip((1.0, -1.0), sides, strict=True) if side is not None]
-    if not plateaus or (len(plateaus) < 2 and not without_doubt):
+    if not plateaus or (len(plateaus) < 2 and not channel.is_vibration):
         return
     levels = " and ".join(f"{middle + sign * level:.4g}" for sign, level, _, _ in plateaus)
     share = sum(share for _, _, share, _ in plateaus)
     quiet = all(roughness < settings.quiet_plateau for *_, roughness in plateaus)
-    is_sure = without_doubt and len(plateaus) == 2 and quiet
-    detail = (
-        f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later: cut off before "
-        "the filter, so odd multiples of its lines may be made up"
-    )
+    is_sure = channel.is_vibration and len(plateaus) == 2 and quiet
+    seen = f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later"
+    detail = f"{seen}: cut off before the filter, so odd multiples of its lines may be made up"
     channel.faults.append(SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure))
 
 
 def _strongest(signal: FloatArray, survey: Survey) -> FloatArray:
     """Samples of the pieces with the largest mean square."""
-    group = _PIECE // survey.size
-    mean = float(np.nanmean(survey.means))
-    power = grouped(survey.variances + np.square(survey.means - mean), group)
+    power = grouped(survey.variances + np.square(survey.means - np.nanmean(survey.means)), _PIECE // survey.size)
     power = np.where(np.isfinite(power), power, -1.0)
     chosen = np.sort(np.argsort(power)[-_STRONGEST:])
     chosen = chosen[power[chosen] > 0.0]
@@ -315,9 +306,8 @@ def _pile_up(above: FloatArray, levels: FloatArray, settings: IngestSettings) ->
     if levels[-1] <= 0.0:
         return None
     exponents = _exponents(above, levels)
-    best = int(np.argmin(exponents))
-    level = float(levels[best])
-    if exponents[best] > settings.plateau_exponent:
+    level = float(levels[np.argmin(exponents)])
+    if exponents.min() > settings.plateau_exponent:
         return None
     inside = np.abs(above / level - 1.0) < _WITHIN
     share = float(np.mean(inside))
@@ -384,11 +374,8 @@ def find_spikes(channel: _Channel, *, settings: IngestSettings) -> None:
     samples, first = np.unique((places[:, None] + offsets)[hit], return_index=True)
     signal[samples] = predicted[hit][first]
     spikes = joined([np.column_stack([samples, samples + 1])], n_samples=signal.size)
-    height = float(np.abs(deviations).max())
-    detail = (
-        f"{len(spikes)} spike{'s' * (len(spikes) > 1)} of one to three samples, up to {height:.4g} "
-        f"({height / level:.3g} times the root mean square), after which nothing rings"
-    )
+    shown = f"{len(spikes)} spike{'s' * (len(spikes) > 1)} of one to three samples"
+    detail = f"{shown}, up to {sized(float(np.abs(deviations).max()), level)}, after which nothing rings"
     channel.faults.append(SignalFault("spikes", "suspect", detail, spikes))
 
 
@@ -400,28 +387,21 @@ def _candidates(signal: FloatArray, survey: Survey) -> Ints:
         chosen = np.flatnonzero(fourths > _PEAKED * np.square(squares))
     if not chosen.size or signal.size < 2 * _OUT + 1:
         return np.empty(0, dtype=np.int64)
-    if chosen.size > _MOST_LOOKED_AT // 4:
-        sharpest = np.argsort(squares[chosen])[-_MOST_LOOKED_AT // 4 :]
-        chosen = np.sort(chosen[sharpest])
+    chosen = np.sort(chosen[np.argsort(squares[chosen])[-_MOST_LOOKED_AT // 4 :]])  # the sharpest
     within = chosen[:, None] * (group * survey.size) + np.arange(group * survey.size)
     within = np.clip(within, _OUT, signal.size - _OUT - 1)
     bend = np.abs(signal[within] - 0.5 * (signal[within - 1] + signal[within + 1]))
-    largest = 2.5 * np.sqrt(squares[chosen])[:, None]
-    row, column = np.nonzero(bend > largest)
-    places = np.unique(within[row, column])
-    if places.size > _MOST_LOOKED_AT:
-        return np.empty(0, dtype=np.int64)  # so many are the signal
-    return np.asarray(places, dtype=np.int64)
+    places = np.unique(within[bend > 2.5 * np.sqrt(squares[chosen])[:, None]])
+    return places if places.size <= _MOST_LOOKED_AT else places[:0]  # so many are the signal
 
 
 @cache
 def _prediction() -> tuple[Floats, Floats]:
     """Matrices from the neighbours (20) to what they predict for the middle (5), and to what they lie off the fit."""
-    beside = np.concatenate([np.arange(-_OUT, -_AHEAD), np.arange(_AHEAD + 1, _OUT + 1)])
-    middle = np.arange(-_AHEAD, _AHEAD + 1)
-    inverse = np.linalg.pinv(np.vander(beside / _OUT, _DEGREE + 1))
-    fitted = np.vander(beside / _OUT, _DEGREE + 1) @ inverse
-    return np.vander(middle / _OUT, _DEGREE + 1) @ inverse, np.eye(beside.size) - fitted
+    powers = np.vander(np.arange(-_OUT, _OUT + 1) / _OUT, _DEGREE + 1)
+    beside = np.delete(powers, _MIDDLE, axis=0)
+    inverse = np.linalg.pinv(beside)
+    return powers[_MIDDLE] @ inverse, np.eye(len(beside)) - beside @ inverse
 
 
 def _standing_out(
@@ -431,10 +411,9 @@ def _standing_out(
     to_middle, to_rest = _prediction()
     window = signal[places[:, None] + np.arange(-_OUT, _OUT + 1)].astype(np.float64)
     base = window[:, :1]
-    middle = (window - base)[:, _OUT - _AHEAD : _OUT + _AHEAD + 1]
-    beside = np.delete(window - base, np.s_[_OUT - _AHEAD : _OUT + _AHEAD + 1], axis=1)
+    beside = np.delete(window - base, _MIDDLE, axis=1)
     predicted, rest = beside @ to_middle.T, np.abs(beside @ to_rest.T).max(axis=1)
-    deviations = middle - predicted
+    deviations = (window - base)[:, _MIDDLE] - predicted
     steps = np.abs(np.diff(window, axis=1))
     rounding = np.where(steps > 0.0, steps, np.inf).min(axis=1)
     height = np.abs(deviations).max(axis=1)
@@ -455,8 +434,7 @@ def _look_like_pulses(places: Ints, deviations: Floats) -> bool:
     return bool(np.std(heights) < 0.2 * abs(float(np.mean(heights))) or np.std(apart) < 0.3 * float(np.mean(apart)))
 
 
-@dataclass(frozen=True, slots=True)
-class Sampled:
+class Sampled(NamedTuple):
     """What the samples of a recording are: names, quantities and units by channel, their axis, and the shaft's speed.
 
     There are ``rate`` samples per ``unit`` ("s" or "rev"), the first at ``start``; ``rate_hz`` is NaN by crank angle;
@@ -471,14 +449,6 @@ class Sampled:
     unit: str
     rate_hz: float
     shaft_hz: float
-
-    def span(self, at: Ints, n_samples: int) -> tuple[float, float]:
-        """Begin and end, in ``unit``, of the range over the spans ``at`` (spans, 2) of samples.
-
-        That of all ``n_samples`` where ``at`` is empty.
-        """
-        first, last = (int(at.min()), int(at.max())) if len(at) else (0, n_samples)
-        return self.start + first / self.rate, self.start + last / self.rate
 
 
 def judged(
@@ -508,20 +478,30 @@ def judged(
             ]
     if n_samples >= settings.fewest_samples:
         _judge(signals, faults, sampled, settings)
-    lost = [_lost(own, n_samples, sampled, settings) for own in faults]
+    whole = spans_of((0, n_samples))
+    # samples that take no part in averages, with a margin about each stretch
+    margin = max(round(settings.lost_margin_s * sampled.rate_hz), 1) if math.isfinite(sampled.rate_hz) else 1
+    spans = ([whole if fault.loses_all else fault.at for fault in own if fault.is_lost] for own in faults)
+    lost = [joined(each, within=margin, n_samples=n_samples) for each in spans]
     is_out = [_is_out(runs, n_samples, settings) for runs in lost]
-    flags: list[QualityFlag] = []
-    for number, own in enumerate(faults):
+    about = f"with {settings.lost_margin_s:g} s about each" if math.isfinite(sampled.rate_hz) else "in all"
+    flags, allowed = list[QualityFlag](), 100.0 * settings.max_lost_fraction
+    for number, (name, own) in enumerate(zip(sampled.names, faults, strict=True)):
         if not all(is_out):
-            for start, end in spans_of((0, n_samples)) if is_out[number] else lost[number]:
+            for start, end in whole if is_out[number] else lost[number]:
                 signals[number, start:end] = np.nan
-        share = _share_lost(lost[number], n_samples, sampled, settings) if is_out[number] else ""
+        percent = 100.0 * int(lengths_of(lost[number]).sum()) / n_samples
+        share = f": {about}, {percent:.2g} % of the channel is lost; allowed: {allowed:g} % between its ends"
         for fault in own:
-            flags.append(_flag(fault, sampled, number, path, n_samples))
-            if fault.is_lost and len(fault.at):
-                flags[-1]["detail"] += share
+            ends = (fault.at.min(), fault.at.max()) if len(fault.at) else (0, n_samples)
+            begin, end = (sampled.start + int(place) / sampled.rate for place in ends)
+            detail = f"channel {name}: {fault.detail} ({begin:.4g} … {end:.4g} {sampled.unit})"
+            detail += share if is_out[number] and fault.is_lost and len(fault.at) else ""
+            remark = flag(path, fault.flag, fault.severity, detail)
+            remark["channel"], remark["begin"], remark["end"] = name, begin, end
             if fault.is_lost and not all(is_out):
-                flags[-1]["left_out"] = "channel" if is_out[number] else "stretch"
+                remark["left_out"] = "channel" if is_out[number] else "stretch"
+            flags.append(remark)
     return flags
 
 
@@ -531,10 +511,10 @@ def _judge(
     """Add to the ``faults`` of each channel what it shows by itself and beside the others; spikes are bridged."""
     surveys = [survey(row, size=block_size(sampled.rate_hz)) for row in signals]
     sizes = map(root_mean_square, surveys)
-    told = zip(sampled.names, sampled.quantities, sampled.units, signals, surveys, sizes, faults, strict=True)
-    channels = [_Channel(*each) for each in told]
+    told = (sampled.names, sampled.quantities, sampled.units, signals, surveys, sizes, faults)
+    channels = list(map(_Channel, *told))
     for channel in (channel for channel in channels if channel.is_left):
-        if channel.quantity not in _IMPACTS and not any(fault.flag == "clipped" for fault in channel.faults):
+        if channel.quantity != "force" and not any(fault.flag == "clipped" for fault in channel.faults):
             find_spikes(channel, settings=settings)
         if channel.is_vibration:
             channel.faults.extend(find_slow_faults(channel.survey, settings=settings))
@@ -549,13 +529,6 @@ def _judge(
         find_mains_only(vibrating, sampled.rate_hz, sampled.shaft_hz, settings=settings)
 
 
-def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: IngestSettings) -> Ints:
-    """Samples that take no part in averages, with a margin about each stretch."""
-    margin = max(round(settings.lost_margin_s * sampled.rate_hz), 1) if math.isfinite(sampled.rate_hz) else 1
-    lost = [spans_of((0, n_samples)) if fault.loses_all else fault.at for fault in own if fault.is_lost]
-    return joined(lost, within=margin, n_samples=n_samples)
-
-
 def _is_out(lost: Ints, n_samples: int, settings: IngestSettings) -> bool:
     """Whether so much of ``n_samples`` is ``lost`` that nothing of the channel is kept.
 
@@ -565,18 +538,3 @@ def _is_out(lost: Ints, n_samples: int, settings: IngestSettings) -> bool:
     kept = n_samples - int(lengths_of(lost[at_end]).sum())
     inside = int(lengths_of(lost[~at_end]).sum())
     return kept < (1.0 - settings.max_lost_at_ends_fraction) * n_samples or inside > settings.max_lost_fraction * kept
-
-
-def _share_lost(lost: Ints, n_samples: int, sampled: Sampled, settings: IngestSettings) -> str:
-    """How much of ``n_samples`` is ``lost`` with what lies about it, and how much may be."""
-    about = f"with {settings.lost_margin_s:g} s about each" if math.isfinite(sampled.rate_hz) else "in all"
-    percent, allowed = 100.0 * int(lengths_of(lost).sum()) / n_samples, 100.0 * settings.max_lost_fraction
-    return f": {about}, {percent:.2g} % of the channel is lost; allowed: {allowed:g} % between its ends"
-
-
-def _flag(fault: SignalFault, sampled: Sampled, number: int, path: Path, n_samples: int) -> QualityFlag:
-    begin, end = sampled.span(fault.at, n_samples)
-    name, span = sampled.names[number], f"({begin:.4g} … {end:.4g} {sampled.unit})"
-    remark = flag(path, fault.flag, fault.severity, f"channel {name}: {fault.detail} {span}")
-    remark["channel"], remark["begin"], remark["end"] = name, begin, end
-    return remark

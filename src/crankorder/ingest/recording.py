@@ -51,8 +51,8 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
         raw = read_checked(path, manifest, sources=_wanted(manifest), settings=settings)
         return recording_of(raw, path, manifest, settings=settings, shaft=shaft)
     check_regular(pulses, path.parent)
-    listed = read_file(pulses, sources=_of_encoder(manifest), settings=settings)
-    raw = read_file(path, sources=_of_samples(manifest), settings=settings)
+    listed = read_file(pulses, sources=_wanted(manifest, of_samples=False), settings=settings)
+    raw = read_file(path, sources=_wanted(manifest, of_shaft=False), settings=settings)
     return recording_of(raw, path, manifest, settings=settings, shaft=shaft, listed=listed)
 
 
@@ -100,13 +100,9 @@ def recording_of(
     of = _File(path, manifest, settings, flags)
     times = of.times(raw)
     raw = raw if times is None else _on_grid(raw, times, manifest)
-    bases, file_hz = bases_of(
-        manifest.sampled,
-        {source: row.size for source, row in raw.columns.items()},
-        raw if manifest.sampling.domain == "time" else RawFile(raw.columns),
-        len(manifest.channels),
-        tolerance=settings.rate_tolerance,
-    )
+    samples, n_channels = {source: row.size for source, row in raw.columns.items()}, len(manifest.channels)
+    timed = raw if manifest.sampling.domain == "time" else RawFile(raw.columns)
+    bases, file_hz = bases_of(manifest.sampled, samples, timed, n_channels, tolerance=settings.rate_tolerance)
     recording = of.axis(raw, file_hz, times)
     rate_hz = recording.number("rate_hz")
     check_bands(manifest.limits, rate_hz, path)
@@ -154,12 +150,10 @@ def _on_grid(raw: RawFile, times: TimeColumn, manifest: Manifest) -> RawFile:
 def _sampled(recording: Gathered, manifest: Manifest, scalings: Sequence[Scaling]) -> Sampled:
     """How the signals of ``recording`` were sampled, and at which speed, for a look at their faults."""
     by_angle = manifest.sampling.domain == "crank_angle"
+    scaled = zip(manifest.channels, scalings, strict=True)
     return Sampled(
         names=[channel.name for channel in manifest.channels],
-        quantities=[
-            scaling.unit.quantity if scaling.integrals else channel.measured_quantity
-            for channel, scaling in zip(manifest.channels, scalings, strict=True)
-        ],
+        quantities=[at.unit.quantity if at.integrals else channel.measured_quantity for channel, at in scaled],
         units=[scaling.unit.name for scaling in scalings],
         rate=recording.number("samples_per_rev" if by_angle else "rate_hz"),
         start=recording.number("start_deg") / 360.0 if by_angle else recording.number("start_s", 0.0),
@@ -183,30 +177,22 @@ def _mean_speed_hz(recording: Gathered) -> float:
     return float((times.size - 1) / (times[-1] - times[0]) / recording.teeth / recording.number("ratio", 1.0))
 
 
-def _wanted(manifest: Manifest) -> list[Source]:
-    """Sources to read, each once: channels first, so that they are neighbours in memory."""
-    channels = [channel.file_source for channel in manifest.channels]
-    return list(dict.fromkeys([*channels, *_of_encoder(manifest), *_of_samples(manifest)]))
+def _wanted(manifest: Manifest, *, of_samples: bool = True, of_shaft: bool = True) -> list[Source]:
+    """Sources to read, each once: channels first, so that they are neighbours in memory, and the times last.
 
-
-def _of_samples(manifest: Manifest) -> list[Source]:
-    """Sources of the channels and of their times."""
-    sources: list[Source | None] = [channel.file_source for channel in manifest.channels]
-    if manifest.sampling.domain == "time":
-        sources.append(manifest.sampling.time_source)
-    return list(dict.fromkeys(source for source in sources if source is not None))
-
-
-def _of_encoder(manifest: Manifest) -> list[Source]:
-    """Sources of the encoder and its marks; of a file of its own its times too."""
-    encoder = manifest.encoder
-    sources: list[Source | None] = []
-    if encoder.kind not in SOURCELESS_KINDS:
+    ``of_samples``: those of the channels and of their times; ``of_shaft``: those of the encoder and its marks, and of
+    its times where it is a file of its own.
+    """
+    encoder, sampling = manifest.encoder, manifest.sampling
+    sources: list[Source | None] = [channel.file_source for channel in manifest.channels] if of_samples else []
+    if of_shaft and encoder.kind not in SOURCELESS_KINDS:
         sources += [encoder.source, encoder.second_track, encoder.index, encoder.cam]
-    elif encoder.kind == "constant":
+    elif of_shaft and encoder.kind == "constant":
         sources.append(encoder.source)
-    if encoder.file is not None:
+    if of_shaft and encoder.file is not None:
         sources.append(encoder.time_source)
+    if of_samples and sampling.domain == "time":
+        sources.append(sampling.time_source)
     return list(dict.fromkeys(source for source in sources if source is not None))
 
 
@@ -268,11 +254,9 @@ class _File:
         scaling = file_to_analysed(channel, file_unit, self.path)
         stated = channel.sensitivity is not None or channel.offset is not None or file_unit not in STATES_NO_UNIT
         if not stated and channel.analysed_unit.quantity not in MAY_HAVE_LEVELS and looks_counted(signal):
-            detail = (
-                f"channel {channel.name}: whole numbers without unit or scale in the file, taken as {channel.unit}: "
-                'if they are counts of a converter, state unit = "counts" or a sensitivity'
-            )
-            self.flag("counts_without_unit", "suspect", detail)
+            taken = f"channel {channel.name}: whole numbers without unit or scale in the file, taken as {channel.unit}"
+            remedy = 'if they are counts of a converter, state unit = "counts" or a sensitivity'
+            self.flag("counts_without_unit", "suspect", f"{taken}: {remedy}")
         if scaling.remark:
             self.flag("unit_unknown", "info", scaling.remark)
         if scaling.offset != 0.0:
@@ -301,17 +285,14 @@ class _File:
         if highpass_hz >= most_hz:
             problem = f"channel {channel.name}: the high-pass leaves nothing of {rate_hz:g} samples per second"
             place, allowed = f"channels.{number}.highpass_hz", f"below {most_hz:.4g}"
-            remedy = "Mend highpass_hz in the manifest"
-            found = f"{highpass_hz:g}"
+            found, remedy = f"{highpass_hz:g}", "Mend highpass_hz in the manifest"
             raise InputError(problem, file=self.path, place=place, found=found, allowed=allowed, remedy=remedy)
         integral = integrated(signal, rate_hz, times=scaling.integrals, highpass_hz=highpass_hz, half_octaves=octaves)
         signal[:] = integral * (scaling.unit.factor / channel.analysed_unit.factor)
-        detail = (
-            f"channel {channel.name}: {channel.measured_quantity} in {channel.analysed_unit.name} integrated from "
-            f"{scaling.unit.quantity}, high-pass {highpass_hz:g} Hz; "
-            f"the first and last {faded_samples(len(signal), rate_hz, highpass_hz) / rate_hz:.2g} s are left out"
-        )
-        self.flag("integrated", "info", detail)
+        faded_s = faded_samples(len(signal), rate_hz, highpass_hz) / rate_hz
+        made = f"{channel.measured_quantity} in {channel.analysed_unit.name} integrated from {scaling.unit.quantity}"
+        ends = f"high-pass {highpass_hz:g} Hz; the first and last {faded_s:.2g} s are left out"
+        self.flag("integrated", "info", f"channel {channel.name}: {made}, {ends}")
 
 
 def _with_signals(
@@ -331,9 +312,10 @@ def _with_signals(
         "quantity": [channel.measured_quantity for channel in manifest.channels],
         "direction": [channel.direction for channel in manifest.channels],
     }
-    for name, values in texts.items():
-        recording.add(name, "channel", np.array(values, dtype=np.str_), "1", name)
-    coords = {name: recording.variables.pop(name) for name in texts}
+    coords = {
+        name: xr.Variable("channel", np.array(values, dtype=np.str_), {"units": "1", "long_name": name})
+        for name, values in texts.items()
+    }
     for remark in flags:
         remark["recording"] = str(recording.attrs["recording"])
     return Recording(with_flags(xr.Dataset(recording.variables, coords, recording.attrs), flags))

@@ -9,10 +9,10 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from crankorder.errors import CrankorderError, InputError, UnsafeInputError, pri
 from crankorder.ingest.channel import STATES_NO_UNIT
 from crankorder.ingest.formats import contents_of, read_file
 from crankorder.ingest.manifest import Manifest
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, looks_counted, named
+from crankorder.ingest.rawfile import Contents, RawFile, Source, looks_counted, named
 from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
@@ -88,10 +88,19 @@ class Column:
     wrap: float = 0.0
 
     @property
+    def quantity(self) -> str:
+        """What the unit measures, "" without a unit."""
+        return "" if self.unit is None else self.unit.quantity
+
+    @property
+    def is_angular(self) -> bool:
+        """Whether the unit, or without one the name, is that of an angle."""
+        return self.quantity == "angle" or (not self.quantity and _ANGLE.search(self.label) is not None)
+
+    @property
     def seconds(self) -> Floats:
         """Values (samples,) as times in s; a column without a stated unit of time is taken to be in s."""
-        timed = self.unit is not None and self.unit.quantity == "time"
-        return self.values * (self.unit.factor if self.unit is not None and timed else 1.0)
+        return self.values * (self.unit.factor if self.unit is not None and self.quantity == "time" else 1.0)
 
     @property
     def grows(self) -> bool:
@@ -101,18 +110,24 @@ class Column:
     @property
     def is_binary(self) -> bool:
         """Whether the values are all one of two levels, such as 0 and 1, or one level."""
-        return _is_binary(self.values)
+        values = self.values
+        return values.size > 1 and bool(((values == values.min()) | (values == values.max())).all())
+
+    @property
+    def middle(self) -> float:
+        """Halfway between the least and the greatest of the values, NaN where they were not read."""
+        return 0.5 * float(self.values.min() + self.values.max()) if self.values.size else np.nan
 
     @property
     def n_edges(self) -> int:
         """Rising edges of the values; 0 where they were not read."""
-        return _n_edges(self.values)
+        high = self.values > self.middle
+        return int(np.count_nonzero(high[1:] & ~high[:-1]))
 
     @property
     def is_mostly_high(self) -> bool:
         """Whether nearly all of the values lie above their middle."""
-        values = self.values
-        return values.size > 0 and float(np.mean(values > 0.5 * (values.min() + values.max()))) > _MOSTLY_HIGH
+        return self.values.size > 0 and float(np.mean(self.values > self.middle)) > _MOSTLY_HIGH
 
     def used_as(self, role: Role, doubt: str = "") -> Column:
         """This column with another ``role``, and a ``doubt`` where there is one."""
@@ -180,7 +195,7 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     if any(column.role == "time" and _is_straight(column.values) for column in found):
         # at a held speed an angle grows as evenly as the time, which is what tells the speed
         found = [column.used_as("encoder") if column.role == "angle" else column for column in found]
-    found = _first_of_edges(_used_together(found, contents.rates_hz))
+    found = _first_of_edges(list(_used_together(found, contents.rates_hz)))
     time = next((column for column in found if column.role == "time"), None)
     of_edges = time is not None and _lists_edges(time, [column for column in found if column is not time])
     if time is not None and len(found) == 1:
@@ -229,10 +244,8 @@ def _values_of(path: Path, names: Sequence[str], settings: IngestSettings) -> di
         return {}
     values = {str(name): column[:MOST_SAMPLES].astype(np.float64) for name, column in raw.columns.items()}
     ends = [(column, rows_before_zeros(column)) for column in values.values()]
-    rows = min(
-        (rows for column, rows in ends if rows < column.size and (np.diff(column[:rows]) > 0.0).all()),
-        default=MOST_SAMPLES,
-    )
+    of_times = [rows for column, rows in ends if rows < column.size and (np.diff(column[:rows]) > 0.0).all()]
+    rows = min(of_times, default=MOST_SAMPLES)
     values = {name: column[:rows] for name, column in values.items()}
     return {name: column for name, column in values.items() if column.size > 2 and np.isfinite(column).any()}
 
@@ -241,11 +254,11 @@ def _judged(name: str, contents: Contents, values: Floats) -> Column:
     """What the column ``name`` is for by itself; ``values`` are empty where they were not read."""
     stated, told = contents.units.get(name, ""), unit_in_suffix(name)
     unit, label = _unit_and_label(name, contents)
-    quantity = "" if unit is None else unit.quantity
-    role = _role(label, quantity, values, is_timed=bool(contents.rates_hz))
+    column = Column(name, _source(name, contents), "channel", label, unit, values=values)
+    role = _role(column, is_timed=bool(contents.rates_hz))
     n_samples, longest = contents.samples.get(name), max(contents.samples.values(), default=0)
     if role != "encoder" and not _spans(name, contents):
-        return Column(name, _source(name, contents), "unused", label, unit, f"{n_samples} samples of {longest}")
+        return replace(column, role="unused", doubt=f"{n_samples} samples of {longest}", values=np.empty(0))
     doubt = "the first column grows in even steps: taken for seconds" if role == "time" and label.isdigit() else ""
     if stated in STATES_NO_UNIT and unit is not None:
         doubt = f"unit {told} as the name of the column says"
@@ -254,12 +267,11 @@ def _judged(name: str, contents: Contents, values: Floats) -> Column:
         role = "unused" if stated.strip() in _SLOW_UNITS else role
     elif unit is None and role == "channel" and values.size and looks_counted(values):
         unit, doubt = unit_of("counts"), "whole numbers without a unit: counts of a converter, or m/s2, g, Pa, …"
-    column = Column(name, _source(name, contents), role, label, unit, doubt, values)
-    if role not in ("encoder", "angle") or not values.size:
-        return column
-    angular = _is_angular(label, quantity)
-    seen = wrap_seen(values) if angular else _whole_numbers(values)
-    return column if seen is None else replace(column, kind="angle" if angular else "count", wrap=seen[0])
+    seen = None
+    if role in ("encoder", "angle") and values.size:
+        seen = wrap_seen(values) if column.is_angular else _whole_numbers(values)
+    kind: Kind = "" if seen is None else "angle" if column.is_angular else "count"
+    return replace(column, role=role, unit=unit, doubt=doubt, kind=kind, wrap=seen[0] if seen else 0.0)
 
 
 def _unit_and_label(name: str, contents: Contents) -> tuple[Unit | None, str]:
@@ -269,17 +281,17 @@ def _unit_and_label(name: str, contents: Contents) -> tuple[Unit | None, str]:
     return unit, _bare(name.rpartition("/")[2] if contents.format == "HDF5" else name)
 
 
-def _role(label: str, quantity: str, values: Floats, *, is_timed: bool) -> Role:
-    """What a column is for by its ``label``, ``quantity`` and ``values``; ``is_timed``: the file states rates."""
-    was_read = values.size > 0
-    if _is_angular(label, quantity):
+def _role(column: Column, *, is_timed: bool) -> Role:
+    """What a ``column`` is for by its label, quantity and values; ``is_timed``: the file states rates."""
+    label, quantity, values, was_read = column.label, column.quantity, column.values, column.values.size > 0
+    if column.is_angular:
         if not was_read or wrap_seen(values) is None:
             return "unused"
         return "encoder" if angle_step(values) is None else "angle"
     grows = bool((np.diff(values) > 0.0).all())
     if (quantity == "time" or (not quantity and _TIME.fullmatch(label))) and grows:
         return "time"
-    if quantity == "rotational speed" or (not quantity and SPEED_NAME.search(label) and not _is_binary(values)):
+    if quantity == "rotational speed" or (not quantity and SPEED_NAME.search(label) and not column.is_binary):
         return "speed"
     if quantity not in ("", "voltage", "counts", "full scale", "ratio") or _SIGNAL.search(label):
         return "channel"
@@ -292,8 +304,8 @@ def _role(label: str, quantity: str, values: Floats, *, is_timed: bool) -> Role:
             return role
     if not was_read:
         return "channel"
-    if (_is_binary(values) and np.ptp(values) > 0.0) or (quantity in ("", "voltage") and is_square(values)):
-        return "encoder" if _n_edges(values) >= _FEWEST_EDGES else "unused"
+    if (column.is_binary and np.ptp(values) > 0.0) or (quantity in ("", "voltage") and is_square(values)):
+        return "encoder" if column.n_edges >= _FEWEST_EDGES else "unused"
     if label.isdigit() and grows and _is_straight(values):
         counted = np.ptp(np.diff(values)) == 0.0 and values[1] - values[0] == 1.0
         return "unused" if counted or is_timed else "time"
@@ -302,10 +314,10 @@ def _role(label: str, quantity: str, values: Floats, *, is_timed: bool) -> Role:
 
 def _bare(name: str) -> str:
     """``name`` without the unit in brackets behind it."""
-    unit = unit_in_label(name)
-    bare = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", name) if unit else name
-    suffix = unit_in_suffix(name)
-    if suffix and not unit and _TIME.fullmatch(name[: -len(suffix) - 1]):
+    bare, suffix = name, unit_in_suffix(name)
+    if unit_in_label(name):
+        bare = re.sub(r"\s*[\[(][^\[\]()]*[\])]\s*$", "", name)
+    elif suffix and _TIME.fullmatch(name[: -len(suffix) - 1]):
         bare = name[: -len(suffix) - 1]
     return bare.strip(" _.-") or name
 
@@ -318,24 +330,11 @@ def _is_straight(times: Floats) -> bool:
     return float(np.abs(off).max()) * (times.size - 1) < float(times[-1] - times[0])
 
 
-def _is_angular(label: str, quantity: str) -> bool:
-    return quantity == "angle" or (not quantity and _ANGLE.search(label) is not None)
-
-
 def _whole_numbers(values: Floats) -> tuple[float, bool] | None:
     """What :func:`wrap_seen` tells of ``values``, where they are whole numbers of many sizes; else None."""
     finite = values[np.isfinite(values)]
     many = finite.size > 2 and np.ptp(finite) > 2.0 and bool((finite == np.rint(finite)).all())
     return wrap_seen(values) if many else None
-
-
-def _is_binary(values: FloatArray) -> bool:
-    return values.size > 1 and bool(((values == values.min()) | (values == values.max())).all())
-
-
-def _n_edges(values: Floats) -> int:
-    high = values > 0.5 * (values.min() + values.max()) if values.size else np.empty(0, dtype=np.bool_)
-    return int(np.count_nonzero(high[1:] & ~high[:-1]))
 
 
 def angle_step(values: Floats) -> float | None:
@@ -350,7 +349,7 @@ def angle_step(values: Floats) -> float | None:
     return step if abs(per_rev - round(per_rev)) < 1e-3 * per_rev else None
 
 
-def _used_together(found: list[Column], rates_hz: Mapping[str, float]) -> list[Column]:
+def _used_together(found: list[Column], rates_hz: Mapping[str, float]) -> Iterator[Column]:
     """``found`` without what cannot be used beside the others.
 
     A second time, angle, speed or mark; a time beside an angle; a time of columns that differ in rate, whose times it
@@ -359,7 +358,6 @@ def _used_together(found: list[Column], rates_hz: Mapping[str, float]) -> list[C
     several = len({rates_hz.get(column.name) for column in found if column.role != "time"} - {None}) > 1
     fastest_hz = max((rates_hz.get(column.name, 0.0) for column in found if column.role == "channel"), default=0.0)
     seen: set[Role] = {"time"} if any(column.role == "angle" for column in found) else set()
-    used: list[Column] = []
     for column in found:
         role, rate_hz = column.role, rates_hz.get(column.name, fastest_hz)
         if role == "time" and several:
@@ -370,8 +368,7 @@ def _used_together(found: list[Column], rates_hz: Mapping[str, float]) -> list[C
         elif role in seen and role not in ("channel", "encoder"):
             column = column.used_as("unused")
         seen.add(role)
-        used.append(column)
-    return used
+        yield column
 
 
 def _first_of_edges(found: list[Column]) -> list[Column]:
@@ -384,11 +381,10 @@ def _first_of_edges(found: list[Column]) -> list[Column]:
 
 def _of_edge_list(column: Column) -> Column:
     """``column`` of a file whose lines are changes of levels: what changes is a pulse, what does not has no use."""
-    if column.role == "time":
+    is_pulse = column.is_binary and column.n_edges >= _FEWEST_EDGES
+    if column.role == "time" or (is_pulse and column.role in ("index", "cam", "encoder")):
         return column
-    if not column.is_binary or column.n_edges < _FEWEST_EDGES:
-        return column.used_as("unused")
-    return column if column.role in ("index", "cam", "encoder") else column.used_as("encoder")
+    return column.used_as("encoder" if is_pulse else "unused")
 
 
 def _marks_by_count(found: list[Column]) -> list[Column]:
@@ -430,12 +426,10 @@ def read_checked(
         return read_file(path, sources=sources, settings=settings, rows=rows)
     contents = contents_of(path, settings=settings)
     asked = [named(source, contents.names, path) for source in sources]
-    alike = {(contents.samples.get(name), contents.rates_hz.get(name)) for name in asked}
-    degrees = {
-        name: factor
-        for name, factor in angle_columns(contents).items()
-        if name not in asked and (contents.samples.get(name), contents.rates_hz.get(name)) in alike
-    }
+    sampled = {name: (contents.samples.get(name), contents.rates_hz.get(name)) for name in contents.names}
+    alike = {sampled[name] for name in asked}
+    told = angle_columns(contents).items()
+    degrees = {name: factor for name, factor in told if name not in asked and sampled[name] in alike}
     raw = read_file(path, sources=[*sources, *degrees], settings=settings, rows=rows)
     for name, factor in degrees.items():
         angle_deg = raw.columns[name][:MOST_SAMPLES] * np.float64(factor)
@@ -459,18 +453,13 @@ def _refuse_contradiction(name: str, angle_deg: Floats, manifest: Manifest, path
         key, stated, told = "start_deg", sampling.start_deg, first_deg
     else:
         return
-    raise InputError(
-        f"the manifest contradicts the file's column of crank angles {printable(name, 60)}",
-        file=path,
-        place=f"sampling.{key}",
-        found=f"{stated:.9g}",
-        allowed=f"{told:.6g}, as the column says",
-        remedy=f"Find out which is right: mend {key}, or export the column with angles from top dead centre",
-    )
+    problem = f"the manifest contradicts the file's column of crank angles {printable(name, 60)}"
+    place, found, allowed = f"sampling.{key}", f"{stated:.9g}", f"{told:.6g}, as the column says"
+    remedy = f"Find out which is right: mend {key}, or export the column with angles from top dead centre"
+    raise InputError(problem, file=path, place=place, found=found, allowed=allowed, remedy=remedy)
 
 
-@dataclass(frozen=True, slots=True)
-class PulseFiles:
+class PulseFiles(NamedTuple):
     """Patterns of the recordings and of their pulse files, the recordings, and the column that holds the pulses."""
 
     recordings: str
@@ -500,8 +489,7 @@ def pulse_files(files: Sequence[tuple[Contents, Path]]) -> PulseFiles | None:
 
 def _patterns(*kinds: list[str]) -> tuple[str, str] | None:
     """Pattern of the names of each of two ``kinds`` of files, with the part that both share as ``{run}``."""
-    ends: list[tuple[str, str]] = []
-    cores: list[list[str]] = []
+    ends, cores = [], []
     for names in kinds:
         stems = [Path(name).stem for name in names]
         head = _common_head(stems)

@@ -92,10 +92,7 @@ def read_time_column(
     repeat, go back or wander, or too many are missing.
     """
     n_rows = rows_before_zeros(times)
-    flags: list[QualityFlag] = []
-    if n_rows < times.size:
-        flags.append(zeros_flag(times.size - n_rows, path))
-        times = times[:n_rows]
+    flags, times = zeros_flags(times, n_rows, path), times[:n_rows]
     written = 0.0
     if rounding is not None and (even := _even_within(times, rounding[:n_rows])) is not None:
         written = float(np.abs(times - even).max() / (even[1] - even[0]))
@@ -165,9 +162,10 @@ def rows_before_zeros(times: FloatArray) -> int:
     return int(np.flatnonzero(times)[-1]) + 1
 
 
-def zeros_flag(n_rows: int, path: Path) -> QualityFlag:
-    """Flag that the last ``n_rows`` of the recording at ``path`` are zeros and left out."""
-    return flag(path, "rows_of_zeros", "info", f"{n_rows} rows at the end whose time is 0 are left out")
+def zeros_flags(times: FloatArray, n_rows: int, path: Path) -> list[QualityFlag]:
+    """Flag that the ``times`` (rows,) of the recording at ``path`` behind ``n_rows`` are zeros and left out, if any."""
+    detail = f"{times.size - n_rows} rows at the end whose time is 0 are left out"
+    return [flag(path, "rows_of_zeros", "info", detail)] if n_rows < times.size else []
 
 
 def _refuse_disorder(times: FloatArray, path: Path) -> None:
@@ -192,9 +190,8 @@ def _even_stretches(times: FloatArray, least: float) -> tuple[Ints, float, Float
     first, by the mean of its rows; and the largest jitter within one of them in samples.
     """
     usual_s = float(np.median(np.diff(_double(times, slice(SOME_TIMES)))))
-    after = np.concatenate(
-        [at + np.flatnonzero(np.abs(steps - usual_s) > least * usual_s) for at, steps in _steps(times)]
-    )
+    odd = [at + np.flatnonzero(np.abs(steps - usual_s) > least * usual_s) for at, steps in _steps(times)]
+    after = np.concatenate(odd)
     first = np.append(0, after + 1)
     # between the gaps steps that were rounded add up to the true one
     within_s = float(times[-1]) - float(times[0]) - float(np.sum(times[after + 1] - times[after], dtype=np.float64))
@@ -221,18 +218,16 @@ def _jitter(times: FloatArray, step_s: float, places: Ints | None) -> float:
 
 def _uneven(first: Ints, step_s: float, off: float, path: Path, settings: IngestSettings) -> InputError:
     """The error of times that are ``off`` a uniform grid, and uneven between the gaps before the rows ``first``."""
-    if first.size == 1:
-        found = f"steps of {step_s:.6g} s in the mean"
-    else:
+    problem = f"the time column is not uniform: off by {off:.3g} samples, and not even between gaps"
+    found = f"steps of {step_s:.6g} s in the mean"
+    if first.size > 1:
         found = f"{first.size - 1} steps unlike {step_s:.6g} s, the first after sample {first[1] - 1}"
-    return InputError(
-        f"the time column is not uniform: off by {off:.3g} samples, and not even between gaps",
-        file=path,
-        found=found,
-        allowed=f"{settings.max_time_jitter_samples:g} samples (ingest.max_time_jitter_samples)",
-        remedy="Interpolate the signals at even times. Only where a converter took them at an even rate and the times "
-        "are those of its reader, drop time_source and state [sampling] rate_hz",
+    allowed = f"{settings.max_time_jitter_samples:g} samples (ingest.max_time_jitter_samples)"
+    remedy = (
+        "Interpolate the signals at even times. Only where a converter took them at an even rate and the times "
+        "are those of its reader, drop time_source and state [sampling] rate_hz"
     )
+    return InputError(problem, file=path, found=found, allowed=allowed, remedy=remedy)
 
 
 def _gaps(
@@ -250,14 +245,13 @@ def _gaps(
     where = f"after sample {after[longest]} ({times[after[longest]]:.9g} s)"
     found = f"a step of {wide.max():.6g} s among steps of {step_s:.6g} s"
     if total > settings.max_missing_fraction * (times.size + total):
-        raise InputError(
-            f"{total} samples are missing", file=path, place=where, found=found, remedy="Split the recording there"
-        )
-    gaps = f"in {after.size} gaps, the longest" if after.size > 1 else "in one gap"
-    detail = f"{total} samples are missing {gaps} {where}: {found}"
+        remedy = "Split the recording there"
+        raise InputError(f"{total} samples are missing", file=path, place=where, found=found, remedy=remedy)
+    detail = f"{total} samples are missing in one gap {where}: {found}"
     if after.size > 1:
         each = [f"{samples:.4g} after {row}" for samples, row in zip(lost, after, strict=True)]
-        detail += f" ({listed(each, LISTED, counted=True)})"
+        gaps = f"in {after.size} gaps, the longest {where}: {found} ({listed(each, LISTED, counted=True)})"
+        detail = f"{total} samples are missing {gaps}"
     if moved:
         detail += "; what lies between gaps is moved by parts of a sample onto one grid, at its true times"
     return flag(path, "time_gap", "suspect", f"{detail}; what touches a gap is left out")
@@ -324,25 +318,23 @@ def bases_of(
     rates = rates or [stated[column] for column in sampled.values() if column in stated]
     file_hz = next((rate for rate in rates if rate <= min(rates) * (1.0 + tolerance)), None)
 
-    def base_of(column: Key) -> TimeBase:
-        common_hz = file_hz or 1.0
-        own_hz = stated.get(column, common_hz)
-        same = abs(own_hz - common_hz) <= tolerance * common_hz
-        return TimeBase(common_hz if same else own_hz, starts.get(column, 0.0), samples[column])
+    bases, common_hz = {}, file_hz or 1.0
+    for role, column in sampled.items():
+        if column in samples:
+            own_hz = stated.get(column, common_hz)
+            same = abs(own_hz - common_hz) <= tolerance * common_hz
+            bases[role] = TimeBase(common_hz if same else own_hz, starts.get(column, 0.0), samples[column])
+    return bases, file_hz
 
-    return {role: base_of(column) for role, column in sampled.items() if column in samples}, file_hz
 
-
-def length_faults(bases: Mapping[str, TimeBase], path: Path) -> list[InputError]:
+def length_faults(bases: Mapping[str, TimeBase], path: Path) -> Iterator[InputError]:
     """Faults of columns of the file at ``path`` whose ``bases``, by role, differ only in length."""
     first: dict[tuple[float, float], str] = {}
-    faults: list[InputError] = []
     for role, base in bases.items():
         other = first.setdefault((base.rate_hz, base.start_s), role)
         if bases[other].n_samples != base.n_samples:
             problem = f"lengths differ: {other} has {bases[other].n_samples} samples, {role} has {base.n_samples}"
-            faults.append(InputError(problem, file=path, remedy="Export all channels over the same time at one rate"))
-    return faults
+            yield InputError(problem, file=path, remedy="Export all channels over the same time at one rate")
 
 
 def on_one_base(
@@ -367,7 +359,7 @@ def on_one_base(
     lowest_hz = min(bases[role].rate_hz for role in columns)
     grid = next(bases[role] for role in columns if bases[role].rate_hz == lowest_hz)
     told = {role: base for role, base in bases.items() if role in columns or role == ENCODER}
-    flags = _start_flags(bases, path, settings)
+    flags = list(_start_flags(bases, path, settings))
     if all(base == grid for base in told.values()):
         return grid, flags
     from crankorder.fft.resampling import reach_of, resampled  # heavy: of one base it is not wanted
@@ -383,46 +375,38 @@ def on_one_base(
     n_samples = math.floor(grid.place(end_s, settings)) - first + 1
     if n_samples < _FEWEST:
         spans = [f"{role} from {base.start_s:.9g} to {base.end_s:.9g} s" for role, base in told.items()]
-        raise InputError(
-            "channels and encoder were not recorded at the same time",
-            file=path,
-            found=", ".join(spans[:5] if len(spans) < 6 else [*spans[:4], spans[-1]]),
-            remedy="Mend the start times in the file, or leave out what was recorded at another time",
-        )
+        found = ", ".join(spans[:5] if len(spans) < 6 else [*spans[:4], spans[-1]])
+        remedy = "Mend the start times in the file, or leave out what was recorded at another time"
+        problem = "channels and encoder were not recorded at the same time"
+        raise InputError(problem, file=path, found=found, remedy=remedy)
     base = TimeBase(lowest_hz, grid.start_s + first / lowest_hz, n_samples)
     for role, row in columns.items():
         place = bases[role].place(base.start_s, settings)
         whole = slice(round(place), round(place) + n_samples)
         columns[role] = resampled(row, place, step[role], n_samples) if role in moved else row[whole]
-    return base, flags + _loss_flags(bases, moved, base, path)
+    return base, [*flags, *_loss_flags(bases, moved, base, path)]
 
 
-def _start_flags(bases: Mapping[str, TimeBase], path: Path, settings: IngestSettings) -> list[QualityFlag]:
+def _start_flags(bases: Mapping[str, TimeBase], path: Path, settings: IngestSettings) -> Iterator[QualityFlag]:
     """Flag that says which of the ``bases`` begin later than the first of all, where any does."""
     first = min(bases, key=lambda role: bases[role].start_s)
     late = [role for role, base in bases.items() if base.place(bases[first].start_s, settings)]
-    if not late:
-        return []
-    lags = listed([f"{role} by {bases[role].start_s - bases[first].start_s:.9g} s" for role in late], 5)
-    detail = f"later than {first} start {lags}, as the file says: so they are taken"
-    return [flag(path, "start_times", "info", detail)]
+    if late:
+        lags = listed([f"{role} by {bases[role].start_s - bases[first].start_s:.9g} s" for role in late], 5)
+        yield flag(path, "start_times", "info", f"later than {first} start {lags}, as the file says: so they are taken")
 
 
-def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase, path: Path) -> list[QualityFlag]:
+def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase, path: Path) -> Iterator[QualityFlag]:
     """What was lost when channels on ``bases`` came to ``base``, of which some were ``moved`` between samples."""
     from crankorder.fft.resampling import PASS
 
-    flags: list[QualityFlag] = []
     seconds, longest_s = base.n_samples / base.rate_hz, max(own.n_samples / own.rate_hz for own in bases.values())
     if longest_s - seconds > _MOST_CUT * longest_s:
         detail = f"{seconds:.6g} s of {longest_s:.6g} s were recorded by all channels: the rest is left out"
-        flags.append(flag(path, "recording_cut", "suspect", detail))
+        yield flag(path, "recording_cut", "suspect", detail)
     if moved:
         rates = listed([f"{role} of {bases[role].rate_hz:.9g} Hz" for role in moved], 5)
-        detail = (
-            f"{rates}: resampled to {base.rate_hz:.9g} Hz and the times of another channel; "
-            f"what lies above {PASS * base.rate_hz:.6g} Hz is lost"
-        )
+        lost = f"what lies above {PASS * base.rate_hz:.6g} Hz is lost"
+        detail = f"{rates}: resampled to {base.rate_hz:.9g} Hz and the times of another channel; {lost}"
         slower = any(bases[role].rate_hz != base.rate_hz for role in moved)
-        flags.append(flag(path, "channels_resampled", "suspect" if slower else "info", detail))
-    return flags
+        yield flag(path, "channels_resampled", "suspect" if slower else "info", detail)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -17,7 +18,7 @@ from crankorder.ingest.channel import STATES_NO_UNIT
 from crankorder.ingest.encoder_table import POSITION_KINDS, SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, listed
-from crankorder.ingest.sampling import ENCODER, TimeBase, TimeColumn, rows_before_zeros, seconds_of, zeros_flag
+from crankorder.ingest.sampling import ENCODER, TimeBase, TimeColumn, rows_before_zeros, seconds_of, zeros_flags
 from crankorder.ingest.units import conversion_factor, known_unit, unit_in_label, unit_of
 from crankorder.quantities import Attribute, Floats, QualityFlag, Severity
 from crankorder.settings import MethodNumbers, ShaftSettings
@@ -110,7 +111,7 @@ class ShaftSignals:
             missing = np.isnan(self.raw.columns[encoder.source])
             if missing.any():
                 gap_s = np.flatnonzero(missing[1:] & ~missing[:-1]) / own.rate_hz
-                recording.attrs["gap_starts_s"] = (gap_s + (own.start_s - self.base.start_s)).tolist()
+                attrs["gap_starts_s"] = (gap_s + (own.start_s - self.base.start_s)).tolist()
         pulse_s = recording.variables["pulse_time"].values
         if encoder.second_track is not None:
             self._tell_direction(self.raw.columns[encoder.second_track], pulse_s)
@@ -150,18 +151,12 @@ class ShaftSignals:
         share = float(np.mean(backwards))
         leads = f"the second track leads at {share:.1%} of the pulses"
         if share >= NUMBERS.sure_share:
-            detail = (
-                f"{leads}: the shaft turns backwards, or the two tracks are swapped; the angle is counted up all the "
-                "same, so phases are those of the other direction"
-            )
-            self._flag("turns_backwards", "suspect", detail)
+            why = "the shaft turns backwards, or the two tracks are swapped; the angle is counted up all the same, so"
+            self._flag("turns_backwards", "suspect", f"{leads}: {why} phases are those of the other direction")
         elif share > 1.0 - NUMBERS.sure_share:
             first = int(np.flatnonzero(np.diff(backwards))[0]) + 1
-            detail = (
-                f"{leads}, first another way at pulse {first}: the shaft changes its direction, or too few samples lie "
-                "between the pulses to tell"
-            )
-            self._flag("direction_changes", "suspect", detail)
+            why = "the shaft changes its direction, or too few samples lie between the pulses to tell"
+            self._flag("direction_changes", "suspect", f"{leads}, first another way at pulse {first}: {why}")
 
     def _add_stated_speed(self, recording: Gathered) -> None:
         """Note the speed that the manifest, or a number in the file, states; a shaft of constant speed needs one."""
@@ -236,24 +231,21 @@ class ShaftSignals:
         """Pulse times [s] that the file lists, and their noise; of levels only the edges of the wanted direction."""
         encoder, manifest = self.encoder, self.manifest
         time_source = manifest.sampling.time_source if encoder.file is None else encoder.time_source
-        timed = source if encoder.kind != "edge_list" or time_source is None else time_source
+        timed = time_source if encoder.kind == "edge_list" and time_source is not None else source
         with_levels = timed != source
         stamps = seconds_of(self.raw, timed)
         level = self.raw.columns[source] if with_levels else np.ones(stamps.size)
         n_rows = rows_before_zeros(stamps)
-        if n_rows < stamps.size:
-            self.flags.append(zeros_flag(stamps.size - n_rows, self.path))
+        self.flags.extend(zeros_flags(stamps, n_rows, self.path))
         stamps, level = stamps[:n_rows], level[:n_rows]
         wrong = ~(np.isfinite(stamps) & np.isfinite(level)) | (np.diff(stamps, prepend=stamps[:1]) < 0.0)
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise InputError(
-                "pulse times must be finite and must not go back",
-                file=manifest.pulses_of(self.path) or self.path,
-                place=f"encoder {source}, row {row + 1} of {wrong.size}",
-                found=f"{stamps[row]:.9g} s, level {level[row]:g}" if with_levels else f"{stamps[row]:.9g} s",
-                remedy="Mend the list of times, or take the row out",
-            )
+            file, place = manifest.pulses_of(self.path) or self.path, f"encoder {source}, row {row + 1} of {wrong.size}"
+            found = f"{stamps[row]:.9g} s" + (f", level {level[row]:g}" if with_levels else "")
+            problem = "pulse times must be finite and must not go back"
+            remedy = "Mend the list of times, or take the row out"
+            raise InputError(problem, file=file, place=place, found=found, remedy=remedy)
         if with_levels:
             high = level > 0.5 * (float(level.min()) + float(level.max()))
             turned = high[1:] & ~high[:-1] if encoder.edge == "rising" else ~high[1:] & high[:-1]
@@ -265,8 +257,7 @@ class ShaftSignals:
             return times - self.base.start_s, 0.0
         step_s = float(np.spacing(np.float32(np.abs(times).max())))
         detail = f"{source}: times in float32 tell no more than {step_s:.2g} s: keep them in float64"
-        how: Severity = "suspect" if step_s > _FINE_STEP_S else "info"
-        self._flag("pulse_times_single_precision", how, detail)
+        self._flag("pulse_times_single_precision", "suspect" if step_s > _FINE_STEP_S else "info", detail)
         return times - self.base.start_s, step_s / math.sqrt(12.0)
 
     def _speed(self) -> Floats:
@@ -329,8 +320,7 @@ LISTED = 5
 """Breaks that are named one by one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Break:
+class Break(NamedTuple):
     """Break of a recording: ``sample`` is the first one behind it.
 
     ``turn`` and ``usual`` are the samples of the turn across it, which may be two, and of a usual turn.
@@ -423,9 +413,9 @@ def laid_apart(recording: Gathered, channels: dict[str, FloatArray], path: Path,
     breaks = find_breaks(turns * rate_hz, list(channels.values())) if marked or teeth else []
     if not breaks:
         return
-    n_samples = next(iter(channels.values())).size
+    n_samples, at = next(iter(channels.values())).size, np.array([gap.sample for gap in breaks])
     lost = np.zeros(n_samples, dtype=np.int64)
-    lost[[gap.sample for gap in breaks]] = [gap.missing for gap in breaks]
+    lost[at] = [gap.missing for gap in breaks]
     places = np.arange(n_samples) + np.cumsum(lost)
     total = int(places[-1]) + 1
     first, end = 0, total
@@ -438,16 +428,14 @@ def laid_apart(recording: Gathered, channels: dict[str, FloatArray], path: Path,
     if marked or teeth == 1:
         detail += f"; {total - n_samples} samples are put in to make these turns whole; what touches them is left out"
     else:
-        ends = np.array([0, *(gap.sample for gap in breaks), n_samples])
-        first = int(ends[np.argmax(np.diff(ends))])
-        end, places = first + int(np.diff(ends).max()), np.arange(n_samples)
+        longest = max(pairwise([0, *at.tolist(), n_samples]), key=lambda ends: ends[1] - ends[0])
+        (first, end), places = longest, np.arange(n_samples)
         detail += f"; the pulses do not tell the angle across: samples {first} to {end - 1} are used alone"
     flags.append(flag(path, "buffers_joined", "suspect", detail))
     for name, column in channels.items():
         gridded = np.full(max(total, end), np.nan, dtype=column.dtype)
         gridded[places] = column
         channels[name] = gridded[first:end]
-    at = np.array([gap.sample for gap in breaks])
     moved = places - np.arange(n_samples) - first
     for name in ("pulse_time", "index_time", "cam_time"):
         if name in variables:

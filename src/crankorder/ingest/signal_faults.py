@@ -6,7 +6,7 @@ All of it is done block by block, for a signal may be larger than memory. What l
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -52,8 +52,7 @@ def spans_of(*spans: tuple[int, int]) -> Ints:
 
 def lengths_of(spans: Ints) -> Ints:
     """Number of samples (spans,) of each of the ``spans`` (spans, 2)."""
-    lengths: Ints = spans[:, 1] - spans[:, 0]
-    return lengths
+    return spans[:, 1] - spans[:, 0]
 
 
 def joined(spans: Sequence[Ints], *, within: int = 0, n_samples: int) -> Ints:
@@ -88,59 +87,47 @@ class SignalFault:
         return self.is_lost and not len(self.at)
 
 
-@dataclass(frozen=True, slots=True)
-class _Range:
-    """Least and greatest number among the samples, how many equal the one before them, and whether any is NaN."""
-
-    low: float
-    high: float
-    n_still: int
-    has_nan: bool
-
-
 def mend_signal(signal: FloatArray, *, settings: IngestSettings) -> list[SignalFault]:
     """Faults of ``signal`` (samples,), whose missing samples are bridged in place where they are few in a row.
 
     Samples of a longer gap become NaN. ``settings`` say how many missing samples are few and what counts as clipping.
     The whole signal is lost where more samples would be bridged than the spectrum bears, or too many are missing.
     """
-    known = _range_of(signal)
+    low, high, n_still, has_nan = _range_of(signal)
     flags: list[SignalFault] = []
-    finite = not known.has_nan and known.low > -_FILL_ABOVE and known.high < _FILL_ABOVE
-    if not finite or known.low in _SENTINELS or known.high in _SENTINELS:
+    if has_nan or min(low, -high) <= -_FILL_ABOVE or low in _SENTINELS or high in _SENTINELS:
         missing = _runs(signal, _missing(signal))
         if len(missing):
             flags += _without(signal, missing, settings)
             if any(fault.is_lost for fault in flags):
                 return flags
-            known = _range_of(signal)
-    if known.low == known.high:
-        return [*flags, SignalFault("constant_signal", "bad", f"all samples equal {known.low:.6g}", is_lost=True)]
+            low, high, n_still, _ = _range_of(signal)
+    if low == high:
+        return [*flags, SignalFault("constant_signal", "bad", f"all samples equal {low:.6g}", is_lost=True)]
     # each fault needs so many samples that stand still: most signals have too few for any, and are done
-    if 2 * known.n_still > signal.size and (levels := _few_levels(signal, settings)):
+    if 2 * n_still > signal.size and (levels := _few_levels(signal, settings)):
         shown = ", ".join(f"{level:.4g}" for level in levels)
         detail = f"takes the values {shown} alone: a switch, or a signal smaller than the steps of its converter"
         return [*flags, SignalFault("few_levels", "bad", detail, is_lost=True)]
-    if known.n_still >= 2 * (settings.clip_run_samples - 1):
-        flags += _clipping(signal, known.low, known.high, settings)
-    if known.n_still >= settings.dropout_samples - 1:
+    if n_still >= 2 * (settings.clip_run_samples - 1):
+        flags += _clipping(signal, low, high, settings)
+    if n_still >= settings.dropout_samples - 1:
         flags += _dropout(signal, settings)
     return flags
 
 
-def _range_of(signal: FloatArray) -> _Range:
+def _range_of(signal: FloatArray) -> tuple[float, float, int, bool]:
+    """Least and greatest number among the samples, how many equal the one before them, and whether any is NaN."""
     lows, highs, n_still, has_nan, last = [], [], 0, False, np.nan
     for part in blocks(signal.size):
         piece = signal[part]
         low = piece.min()
-        if low != low:
-            has_nan = True
-            low = np.fmin.reduce(piece)
-        lows.append(low)
+        has_nan |= bool(np.isnan(low))
+        lows.append(np.fmin.reduce(piece) if has_nan else low)
         highs.append(np.fmax.reduce(piece) if has_nan else piece.max())
         n_still += int(np.count_nonzero(piece[1:] == piece[:-1])) + int(piece[0] == last)
         last = piece[-1]
-    return _Range(float(np.fmin.reduce(lows)), float(np.fmax.reduce(highs)), n_still, has_nan)
+    return float(np.fmin.reduce(lows)), float(np.fmax.reduce(highs)), n_still, has_nan
 
 
 def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> Ints:
@@ -161,7 +148,7 @@ def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> Ints:
     return np.concatenate(parts)
 
 
-def _dropout(signal: FloatArray, settings: IngestSettings) -> list[SignalFault]:
+def _dropout(signal: FloatArray, settings: IngestSettings) -> Iterator[SignalFault]:
     """Flag stretches in which the signal stands still, whatever its level, where the longest is too long for chance."""
     last = np.array([np.nan], dtype=signal.dtype)
 
@@ -174,20 +161,18 @@ def _dropout(signal: FloatArray, settings: IngestSettings) -> list[SignalFault]:
     runs = _runs(signal, still, least=settings.dropout_samples - 1)
     runs[:, 0] = np.maximum(runs[:, 0] - 1, 0)
     if lengths_of(runs).max(initial=0) < settings.dropout_fraction * signal.size:
-        return []
+        return
     is_silent = (signal[runs[:, 0]] == 0.0) & ((runs[:, 0] == 0) | (runs[:, 1] == signal.size))
     silence, held = runs[is_silent], runs[~is_silent]
-    faults: list[SignalFault] = []
     if len(silence):
         count = int(lengths_of(silence).sum())
         share = f"{count / signal.size:.1%}"
         detail = f"zeros for {count} samples ({share}) at its start or end: nothing was recorded there"
-        faults.append(SignalFault("silence", "suspect", detail, silence, is_lost=True))
+        yield SignalFault("silence", "suspect", detail, silence, is_lost=True)
     if (length := lengths_of(held).max(initial=0)) >= settings.dropout_fraction * signal.size:
         first = held[np.argmax(lengths_of(held)), 0]
         detail = f"the same value for {length} samples ({length / signal.size:.1%}) from sample {first}"
-        faults.append(SignalFault("dropout", "bad", detail, held, is_lost=True))
-    return faults
+        yield SignalFault("dropout", "bad", detail, held, is_lost=True)
 
 
 def _few_levels(signal: FloatArray, settings: IngestSettings) -> list[float]:
@@ -224,7 +209,7 @@ def _missing(signal: FloatArray) -> Mask:
     return missing
 
 
-def _without(signal: FloatArray, missing: Ints, settings: IngestSettings) -> list[SignalFault]:
+def _without(signal: FloatArray, missing: Ints, settings: IngestSettings) -> Iterator[SignalFault]:
     """Bridge the short of the ``missing`` runs by straight lines, make the others NaN, and flag both."""
     lengths = lengths_of(missing)
     is_short = lengths <= settings.max_gap_samples
@@ -239,29 +224,24 @@ def _without(signal: FloatArray, missing: Ints, settings: IngestSettings) -> lis
             for start, end in missing:
                 signal[start:end] = np.nan
             first = missing[np.argmax(lengths), 0]
-            detail = (
-                f"{total} samples are missing (not a number, infinite or a fill value), most from sample {first}: "
-                f"{count / signal.size:.3%} {how}, allowed {most:.1%}"
-            )
-            return [SignalFault("gap", "bad", detail, is_lost=True)]
-    flags = []
+            lacks = f"{total} samples are missing (not a number, infinite or a fill value), most from sample {first}"
+            share = f"{count / signal.size:.3%} {how}, allowed {most:.1%}"
+            yield SignalFault("gap", "bad", f"{lacks}: {share}", is_lost=True)
+            return
     for start, end in gaps:
         signal[start:end] = np.nan
     if len(gaps):
         lengths = lengths_of(gaps)
-        detail = (
-            f"{lengths.sum()} samples ({lengths.sum() / signal.size:.2%}) missing in {len(gaps)} "
-            f"gap{'s' * (len(gaps) > 1)}, the longest of {lengths.max()} from sample {gaps[np.argmax(lengths), 0]}; "
-            "what touches a gap is left out"
-        )
-        flags.append(SignalFault("gap", "suspect", detail, gaps))
+        share = f"{lengths.sum()} samples ({lengths.sum() / signal.size:.2%})"
+        where = f"{len(gaps)} gap{'s' * (len(gaps) > 1)}, the longest of {lengths.max()}"
+        first = f"from sample {gaps[np.argmax(lengths), 0]}; what touches a gap is left out"
+        yield SignalFault("gap", "suspect", f"{share} missing in {where} {first}", gaps)
     if len(short):
         for start, end in short:
             beside = [place for place in (start - 1, end) if 0 <= place < signal.size]
             signal[start:end] = np.interp(np.arange(start, end), beside, signal[beside])
         detail = f"{bridged} missing samples bridged, first at sample {short[0, 0]}"
-        flags.append(SignalFault("non_finite_interpolated", "suspect", detail, short))
-    return flags
+        yield SignalFault("non_finite_interpolated", "suspect", detail, short)
 
 
 def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSettings) -> list[SignalFault]:
@@ -274,8 +254,12 @@ def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSetti
         if n_flat < 2 * settings.clip_run_samples:
             continue
         flat = _runs(signal, at_extreme, least=settings.clip_run_samples)
-        step = _rounding_step(signal) if np.isnan(step) else step
-        if len(flat) and n_flat > _just_inside(signal, extreme, step):
+        if np.isnan(step):  # of the rounding: the least change from one sample to the next
+            changes = (np.abs(np.diff(signal[part.start : part.stop + 1])) for part in blocks(signal.size - 1))
+            step = min((float(steps.min(where=steps > 0, initial=np.inf)) for steps in changes), default=np.inf)
+        # within three steps lie more samples than at the extreme, unless the signal was cut off there
+        apart = (np.abs(signal[part] - extreme) for part in blocks(signal.size))
+        if len(flat) and n_flat > sum(int(np.count_nonzero((off > 0.0) & (off < 3.5 * step))) for off in apart):
             cut_off.append(flat[_is_cut_off(signal, extreme, flat, step)])
     flat = joined(cut_off, n_samples=signal.size)
     if sum(map(len, cut_off)) < 2:
@@ -284,24 +268,6 @@ def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSetti
     is_bad = share > settings.max_clipped_fraction
     detail = f"{share:.3%} of its samples lie flat at {low:.6g} or {high:.6g}, first at sample {flat[0, 0]}"
     return [SignalFault("clipped", "bad" if is_bad else "suspect", detail, flat, is_lost=is_bad)]
-
-
-def _rounding_step(signal: FloatArray) -> float:
-    """Least change from one sample to the next."""
-    step = np.inf
-    for part in blocks(signal.size - 1):
-        steps = np.abs(np.diff(signal[part.start : part.stop + 1]))
-        step = min(step, float(steps.min(where=steps > 0, initial=np.inf)))
-    return step
-
-
-def _just_inside(signal: FloatArray, extreme: float, step: float) -> int:
-    """Samples within three rounding steps of the extreme: more than at it, unless the signal was cut off there."""
-    count = 0
-    for part in blocks(signal.size):
-        apart = np.abs(signal[part] - extreme)
-        count += int(np.count_nonzero((apart > 0.0) & (apart < 3.5 * step)))
-    return count
 
 
 def _is_cut_off(signal: FloatArray, extreme: float, flat: Ints, step: float) -> Bools:
@@ -313,8 +279,7 @@ def _is_cut_off(signal: FloatArray, extreme: float, flat: Ints, step: float) -> 
         np.abs(signal[np.clip(at, 0, signal.size - 1)] - extreme)
         for at in (flat[:, 0] - lengths_of(flat), flat[:, 1] - 1 + lengths_of(flat))
     )
-    steep: Bools = np.fmax(before, after) > _STEEP_STEPS * step
-    return steep
+    return np.asarray(np.fmax(before, after) > _STEEP_STEPS * step)
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,8 +306,7 @@ def block_size(rate_hz: float) -> int:
     """
     if not (math.isfinite(rate_hz) and rate_hz > 0.0):
         return 16
-    wanted = 1 << math.floor(math.log2(max(rate_hz / _BLOCKS_PER_S, 1.0)))
-    return min(max(wanted, _LEAST_BLOCK), _MOST_BLOCK)
+    return int(2 ** math.floor(math.log2(min(max(rate_hz / _BLOCKS_PER_S, _LEAST_BLOCK), _MOST_BLOCK))))
 
 
 def survey(signal: FloatArray, *, size: int) -> Survey:
@@ -355,8 +319,7 @@ def survey(signal: FloatArray, *, size: int) -> Survey:
 def grouped(values: Floats, group: int) -> Floats:
     """Means (values // group,) of ``values`` (values,) over ``group`` neighbours at a time; a rest is left out."""
     whole = len(values) // group * group
-    means: Floats = values[:whole].reshape(-1, group).mean(axis=1)
-    return means
+    return np.asarray(values[:whole].reshape(-1, group).mean(axis=1))
 
 
 @nb.njit(cache=True, nogil=True, fastmath={"nsz", "reassoc", "contract"})
@@ -387,13 +350,15 @@ def _look(signal, size, told):  # type: ignore[no-untyped-def]
 
 def root_mean_square(survey: Survey) -> float:
     """Root mean square of the signal of ``survey``, in its unit; NaN where too much is missing."""
-    square = float(survey.means.var()) + float(survey.variances.mean())
-    if math.isfinite(square):
-        return math.sqrt(square)
     known = np.isfinite(survey.means)
     if not known.any():
         return math.nan
     return math.sqrt(float(survey.means[known].var()) + float(survey.variances[known].mean()))
+
+
+def sized(size: float, level: float) -> str:
+    """``size`` and how many times the root mean square ``level``, both in the unit of the signal, that is."""
+    return f"{size:.4g} ({abs(size) / max(level, 1e-300):.3g} times the root mean square)"
 
 
 def find_slow_faults(survey: Survey, *, settings: IngestSettings) -> list[SignalFault]:
@@ -420,8 +385,7 @@ def find_slow_faults(survey: Survey, *, settings: IngestSettings) -> list[Signal
     if not faults and (start := _settling(means, vibration, step, settings)) is not None:
         faults.append(start)
         free[: -(-int(start.at[0, 1]) // step)] = False
-    drift = _drift(means, free, vibration, settings)
-    return faults if drift is None else [*faults, drift]
+    return faults + _drift(means, free, vibration, settings)
 
 
 def _decay(offsets: Floats) -> tuple[float, float, float]:
@@ -445,8 +409,7 @@ def _overload(
     means: Floats, free: np.ndarray, vibration: float, step: int, n_samples: int, settings: IngestSettings
 ) -> SignalFault | None:
     """The largest jump to a rail that decays to where it came from, if there is one where ``free``."""
-    before = float(np.median(means[free]))
-    apart = np.where(free, means - before, 0.0)
+    apart = np.where(free, means - np.median(means[free]), 0.0)
     top = int(np.argmax(np.abs(apart)))
     size = float(apart[top])
     if abs(size) < settings.overload_ratio * vibration:
@@ -457,8 +420,7 @@ def _overload(
         jump -= 1
     if jump < _RISE:
         return None
-    ahead = apart[:jump][free[:jump]][-16:]
-    rest = float(np.median(ahead))
+    rest = float(np.median(apart[:jump][free[:jump]][-16:]))
     if abs(apart[max(jump - _RISE, 0)] - rest) > 0.2 * abs(size) or abs(rest) > 0.3 * abs(size):
         return None
     apart = apart - rest
@@ -480,10 +442,7 @@ def _overload(
     if abs(size) < settings.overload_ratio * level:
         return None
     span = spans_of(((jump - 1) * step, n_samples if last >= len(means) else last * step))
-    detail = (
-        f"overload of the sensor's supply: a jump of {size:.4g} ({abs(size) / max(level, 1e-300):.3g} times the "
-        "root mean square) that decays"
-    )
+    detail = f"overload of the sensor's supply: a jump of {sized(size, level)} that decays"
     return SignalFault("iepe_overload", "bad", detail, span, is_lost=True)
 
 
@@ -505,32 +464,26 @@ def _level_outside(apart: Floats, free: Bools, event: tuple[int, int], size: flo
 
 def _settling(means: Floats, vibration: float, step: int, settings: IngestSettings) -> SignalFault | None:
     """A decay from the first sample on to where the signal then stays."""
-    later = means[2 * len(means) // 3 :]
-    rest = float(np.median(later))
-    noise = 1.5 * float(np.median(np.abs(later - rest)))
-    offsets = means - rest
+    offsets = means - np.median(means[2 * len(means) // 3 :])
+    noise = 1.5 * float(np.median(np.abs(offsets[2 * len(means) // 3 :])))
     size, constant, told = _decay(offsets)
     is_settling = told > settings.decay_share and constant < 0.2 * len(means) and abs(size) > 6.0 * noise
     if not is_settling or abs(size) < settings.drift_ratio * vibration:
         return None
     end = min(math.ceil(_ends_after(size, constant, vibration)) + 1, len(means) // 2)
-    detail = f"the signal settles from {size:.4g} ({abs(size) / max(vibration, 1e-300):.3g} times the root mean square)"
+    detail = f"the signal settles from {sized(size, vibration)}"
     return SignalFault("start_transient", "suspect", detail, spans_of((0, end * step)), is_lost=True)
 
 
-def _drift(means: Floats, free: np.ndarray, vibration: float, settings: IngestSettings) -> SignalFault | None:
+def _drift(means: Floats, free: np.ndarray, vibration: float, settings: IngestSettings) -> list[SignalFault]:
     """A slow trend larger than the vibration, in most of what is ``free``."""
     if np.count_nonzero(free) < _FEWEST // 2:
-        return None
-    place = np.linspace(-1.0, 1.0, len(means))[free]
-    values = means[free]
+        return []
+    place, values = np.linspace(-1.0, 1.0, len(means))[free], means[free]
     trend = np.polynomial.Polynomial.fit(place, values, 3)(place)
     told = 1.0 - float(np.var(values - trend)) / max(float(np.var(values)), 1e-300)
     size = float(np.ptp(trend))
     if told < settings.drift_share or size < settings.drift_ratio * vibration:
-        return None
-    detail = (
-        f"the mean wanders by {size:.4g} ({size / max(vibration, 1e-300):.3g} times the root mean square): "
-        "lines below a few hertz are in doubt"
-    )
-    return SignalFault("drift", "suspect", detail)
+        return []
+    detail = f"the mean wanders by {sized(size, vibration)}: lines below a few hertz are in doubt"
+    return [SignalFault("drift", "suspect", detail)]

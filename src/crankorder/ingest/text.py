@@ -8,10 +8,9 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -36,11 +35,11 @@ _RATE = re.compile(
     r"\b(?:sample_?freq|sampling_frequency|sample_?rate|sampling_?rate|rate_hz|fs)(?:_hz)?[\"']?\s*[:=]\s*([0-9.eE+]{1,20})\s*(k?Hz)?",
     re.IGNORECASE,
 )
-_SEPARATORS = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "blank"}
+_SEPARATORS = "\t;, "
+_MEND_CELL = "Mend the cell, or leave the recording out"
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
+class _Layout(NamedTuple):
     encoding: str
     separator: str
     decimal_comma: bool
@@ -91,9 +90,9 @@ def _layout_of(path: Path) -> _Layout:
         if not _is_comment(line) and (found := _separation(line)):
             separator, decimal_comma = found
             names, units = _header(lines[:number], separator, len(_fields(line, separator)))
-            comments = "\n".join(line for line in lines[:number] if _is_comment(line))
-            return _Layout(encoding, separator, decimal_comma, names, units, number, _rate_in(comments))
-    shown = next((line for line in lines if line.strip() and not _is_comment(line)), "")
+            rate_hz = _rate_in("\n".join(filter(_is_comment, lines[:number])))
+            return _Layout(encoding, separator, decimal_comma, names, units, number, rate_hz)
+    shown = next((line for line in lines if not _is_comment(line)), "")
     problem = "no line of numbers in the first 64 kB: no table of samples"
     remedy = "Export the recording as columns of numbers"
     raise InputError(problem, found=repr(printable(shown, 60)), remedy=remedy)
@@ -114,12 +113,11 @@ def _separation(line: str) -> tuple[str, bool] | None:
     """Separator of a line of numbers, and whether its decimals stand after a comma; None for other lines."""
     for separator in _SEPARATORS:
         fields = _fields(line, separator)
-        if all(_NUMBER.fullmatch(field) for field in fields):
+        if all(map(_NUMBER.fullmatch, fields)):
             return separator, False
         # "1,2" alone is two columns by comma; with another separator in the line it is a decimal comma
-        if separator == "," or len(fields) < 2:
-            continue
-        if all(_NUMBER.fullmatch(field.replace(",", ".", 1)) for field in fields):
+        may_be_decimal = separator != "," and len(fields) > 1
+        if may_be_decimal and all(_NUMBER.fullmatch(field.replace(",", ".", 1)) for field in fields):
             return separator, True
     return None
 
@@ -155,8 +153,7 @@ def _rate_in(comments: str) -> float | None:
         rate_hz = float(match[1]) if match else 0.0
     except ValueError:
         return None
-    if match and match[2] and match[2].lower() == "khz":
-        rate_hz *= 1e3
+    rate_hz *= 1e3 if match and (match[2] or "").lower() == "khz" else 1.0
     return rate_hz if 0 < rate_hz < 1e12 else None
 
 
@@ -240,9 +237,8 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
                 plain = cell.replace(",", ".", 1) if layout.decimal_comma else cell
                 if not _NUMBER.fullmatch(plain):
                     problem = "not a number" if cell else "an empty cell"
-                    remedy = "Mend the cell, or leave the recording out"
                     place = f"line {number}, column {position} ({printable(layout.names[position], 40)})"
-                    raise InputError(problem, place=place, found=repr(printable(cell, 40)), remedy=remedy)
+                    raise InputError(problem, place=place, found=repr(printable(cell, 40)), remedy=_MEND_CELL)
 
 
 def last_line_flags(path: Path) -> list[QualityFlag]:
@@ -288,9 +284,7 @@ def read_xlsx(path: Path, *, sources: Sequence[Source], settings: IngestSettings
                 if not _is_number(cell):
                     problem, found = ("an empty cell", "") if cell == "" else ("not a number", repr(cell))
                     place = f"row {number}, column {position} ({names[position]})"
-                    raise InputError(
-                        problem, place=place, found=found, remedy="Mend the cell, or leave the recording out"
-                    )
+                    raise InputError(problem, place=place, found=found, remedy=_MEND_CELL)
         block = np.ascontiguousarray(np.array(cells, dtype=np.float64).reshape(-1, len(positions)).T)
         return stated.with_columns(wanted, block)
 
@@ -312,9 +306,7 @@ def _rows(parser: Any, path: Path, settings: IngestSettings) -> Iterator[Row]:
         yield [""] * sheet.start[1] + row
 
 
-def _sheet_header(
-    rows: Iterator[Row],
-) -> tuple[tuple[str, ...], dict[str, str], Row | None, int]:
+def _sheet_header(rows: Iterator[Row]) -> tuple[tuple[str, ...], dict[str, str], Row | None, int]:
     """Names and units of the columns, the first row of numbers, and how many rows stand above it.
 
     Titles and notes above the names are passed over. ``rows`` are taken up to the first of numbers, None where there is
@@ -324,7 +316,7 @@ def _sheet_header(
     first: Row | None = None
     for row in islice(rows, _BANNER_ROWS):
         cells = _filled(row)
-        if len(cells) and all(map(_is_number, cells)):
+        if cells and all(map(_is_number, cells)):
             first = row
             break
         above.append([str(cell).strip() for cell in cells])
@@ -339,8 +331,7 @@ def _sheet_header(
 
 def _filled(row: Row) -> Row:
     """Cells of ``row`` up to the last that is not empty."""
-    n_cells = max((place + 1 for place, cell in enumerate(row) if cell != ""), default=0)
-    return row[:n_cells]
+    return row[: max((place + 1 for place, cell in enumerate(row) if cell != ""), default=0)]
 
 
 def _is_number(cell: object) -> bool:

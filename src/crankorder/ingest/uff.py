@@ -8,9 +8,9 @@ from __future__ import annotations
 import mmap
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from crankorder.ingest.rawfile import (
     by_distinct_name,
     check_budget,
     flag,
+    line_at,
     names_of,
 )
 from crankorder.ingest.sampling import TimeColumn, read_time_column
@@ -47,8 +48,7 @@ _FUNCTIONS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class _History:
+class _History(NamedTuple):
     """One time history: its name, unit, points as the header promises them, sampling, and where its samples lie.
 
     ``even`` is what the header says of the times, None where each sample has its own, in units of ``time_s``.
@@ -90,11 +90,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     lacks = [f"the header promises {promised[name]} samples, {columns[name].size} are there" for name in short]
     flags = [flag(path, "missing_data", "suspect", f"{name}: {lack}") for name, lack in zip(short, lacks, strict=True)]
     flags += [remark for time in times.values() for remark in time.flags]
-    return _contents(histories, times).with_columns(
-        names,
-        [columns[name] for name in names.values()],
-        flags=flags,
-    )
+    return _contents(histories, times).with_columns(names, [columns[name] for name in names.values()], flags=flags)
 
 
 def _contents(histories: Mapping[str, _History], times: Mapping[str, TimeColumn]) -> Contents:
@@ -103,9 +99,8 @@ def _contents(histories: Mapping[str, _History], times: Mapping[str, TimeColumn]
         time, n_samples = times.get(name), history.n_present if history.binary else None
         stated = (None, None) if time is None else (time.rate_hz, time.start_s)
         columns[name] = Described(n_samples, history.unit, *stated)
-    return Contents.of(
-        "UFF", columns, rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0)
-    )
+    doubt = max((time.rate_uncertainty for time in times.values()), default=0.0)
+    return Contents.of("UFF", columns, rate_uncertainty=doubt)
 
 
 def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]:
@@ -117,13 +112,12 @@ def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]
         count += 1
         if count > settings.max_objects:
             raise UnsafeInputError(f"more than {settings.max_objects} data sets", remedy="Split the file")
-        line, after = _line(data, begin.end())
-        if re.match(rb"\s*58b?\b", line) is None:
-            others[f"data set {printable(line.decode('latin-1').strip(), 12)}"] = None
-            end = _DELIMITER.search(data, after)
+        line, place = line_at(data, begin.end(), most_bytes=_MOST_LINE_BYTES)
+        if re.match(rb"\s*58b?\b", line) is not None:
+            history, place = _history(data, line, place)
+        else:
+            history, end = f"data set {printable(line.decode('latin-1').strip(), 12)}", _DELIMITER.search(data, place)
             place = end.end() if end is not None else len(data)
-            continue
-        history, place = _history(data, line, after)
         if isinstance(history, _History):
             histories.append(history)
         else:
@@ -135,21 +129,13 @@ def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]
     return by_distinct_name([(history.name, history) for history in histories])
 
 
-def _line(data: mmap.mmap, place: int) -> tuple[bytes, int]:
-    """The line at ``place`` without its end, and where the next begins; long ones are cut."""
-    end = data.find(b"\n", place)
-    end = len(data) if end < 0 else end
-    return data[place : min(end, place + _MOST_LINE_BYTES)].rstrip(b"\r"), end + 1
-
-
 def _history(data: mmap.mmap, kind: bytes, place: int) -> tuple[_History | str, int]:
     """The data set 58 whose header begins at ``place``, or what it is where it is no time history; and its end."""
     where = f"data set 58 at byte {place}"
-    lines: list[bytes] = []
+    text: list[str] = []
     for _ in range(_HEADER_LINES):
-        line, place = _line(data, place)
-        lines.append(line)
-    text = [_text(line) for line in lines]
+        line, place = line_at(data, place, most_bytes=_MOST_LINE_BYTES)
+        text.append(_text(line))
     try:
         function, (form, n_points, spacing) = int(text[5][:5]), (int(cell) for cell in text[6].split()[:3])
         start_s, step = float(text[6].split()[3]), text[6].split()[4]
@@ -158,20 +144,19 @@ def _history(data: mmap.mmap, kind: bytes, place: int) -> tuple[_History | str, 
         raise InputError("damaged: the header of a data set is wrong", place=where) from None
     binary = b"b" in kind
     n_bytes, order = _binary_layout(kind, where) if binary else (0, "<")
-    last = place + n_bytes
+    last = min(place + n_bytes, len(data))
     if not binary:
         end = _DELIMITER.search(data, place)
         last = end.start() if end is not None else len(data)
-    behind = _END.match(data, min(last, len(data)))
-    after = behind.end() if behind is not None else min(last, len(data))
+    behind = _END.match(data, last)
+    after = behind.end() if behind is not None else last
     problem = _unfit(form, n_points, spacing, step)
     general = function == _GENERAL and abscissa == _TIME and not problem
     if not general and (function != _TIME_RESPONSE or abscissa not in (0, _TIME)):
         return f"function type {function} ({_FUNCTIONS.get(function, 'other')})", after
     if problem:
         raise InputError(problem, place=where, remedy="Export real samples at even steps of time")
-    last = min(last, len(data))
-    unit = known_unit(_unit(text[7]))
+    unit = known_unit(_stated(text[7][46:]))
     time_s = unit.factor if unit is not None and unit.quantity == "time" else 1.0
     even = (
         TimeColumn(1.0 / (float(step) * time_s), _last_digit(step), start_s * time_s, [], n_points) if spacing else None
@@ -181,7 +166,7 @@ def _history(data: mmap.mmap, kind: bytes, place: int) -> tuple[_History | str, 
     point = value if even is not None else np.dtype([("time", order + wide), ("value", value)])
     present = (last - place) // point.itemsize if binary else n_points
     made = _History(
-        name=_name(text), unit=_unit(text[8]), n_points=n_points, n_present=min(present, n_points), even=even,
+        name=_name(text), unit=_stated(text[8][46:]), n_points=n_points, n_present=min(present, n_points), even=even,
         time_s=time_s, point=point, binary=binary, first=place, last=last,
     )  # fmt: skip
     return made, after
@@ -214,11 +199,10 @@ def _unfit(form: int, n_points: int, spacing: int, step: str) -> str:
         return f"samples of type {form} are complex or unknown"
     if n_points < 0:
         return f"{n_points} samples"
-    try:
-        good = float(step) > 0.0 and np.isfinite(float(step))
-    except ValueError:
-        good = False
-    return "" if spacing == 0 or (spacing == 1 and good) else "samples at uneven steps of time"
+    with suppress(ValueError):
+        if spacing == 0 or (spacing == 1 and 0.0 < float(step) < np.inf):
+            return ""
+    return "samples at uneven steps of time"
 
 
 def _last_digit(step: str) -> float:
@@ -232,8 +216,7 @@ def _last_digit(step: str) -> float:
 def _name(text: list[str]) -> str:
     """What a history is called: the point and direction of its response, else its entity, else the first line."""
     cells = text[5]
-    entity = cells[30:41].strip()
-    entity = "" if entity.upper() in ("NONE", "") else entity
+    entity = _stated(cells[30:41])
     try:
         node, direction = int(cells[41:51]), int(cells[51:55])
     except ValueError:
@@ -243,14 +226,12 @@ def _name(text: list[str]) -> str:
     point = f"{node}{way}"
     if node and way and entity != point:
         return f"{entity}:{point}" if entity else point
-    first = re.sub(r"\s*:.*$", "", text[0].strip())
-    return entity or ("" if first.upper() == "NONE" else first) or "1"
+    return entity or _stated(re.sub(r"\s*:.*$", "", text[0].strip())) or "1"
 
 
-def _unit(line: str) -> str:
-    """Unit of the ordinate: its label's last part."""
-    unit = line[46:].strip()
-    return "" if unit.upper() == "NONE" else unit
+def _stated(cell: str) -> str:
+    """What a cell of a header says; empty where it says NONE."""
+    return "" if cell.strip().upper() == "NONE" else cell.strip()
 
 
 def _sampled(
@@ -261,7 +242,7 @@ def _sampled(
     block = data[history.first : last if most_bytes is None else min(last, history.first + most_bytes)]
     kept = slice(history.n_points if history.even is not None or history.binary else 2 * history.n_points)
     if history.binary:
-        points = np.frombuffer(block[: len(block) // point.itemsize * point.itemsize], point)[kept]
+        points = np.frombuffer(block, point, len(block) // point.itemsize)[kept]
     else:
         points = _numbers(block if most_bytes is None else block[: block.rfind(b"\n") + 1], history)[kept]
         points = points[: -1 if points.size < kept.stop else None]  # a number that is cut still reads as one

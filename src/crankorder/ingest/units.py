@@ -6,7 +6,7 @@ import difflib
 import math
 import re
 import unicodedata
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from crankorder.errors import RequestError
 from crankorder.settings import STANDARD_GRAVITY_M_S2
@@ -14,51 +14,46 @@ from crankorder.settings import STANDARD_GRAVITY_M_S2
 _MAX_CHARACTERS = 60
 
 # name, quantity, SI base units per unit, further spellings (after Unicode NFKC, which turns "²" into "2")
-_TABLE: tuple[tuple[str, str, float, tuple[str, ...]], ...] = (
-    (
-        "m/s2",
-        "acceleration",
-        1.0,
-        ("m/s^2", "m/s**2", "m s-2", "m s^-2", "m*s-2", "m/s/s", "ms-2", "m/sec2", "m/sec^2"),
-    ),
-    ("mm/s2", "acceleration", 1e-3, ("mm/s^2", "mm/s**2", "mm s-2")),
-    ("g", "acceleration", STANDARD_GRAVITY_M_S2, ("gn", "g_n", "g0")),
-    ("m/s", "velocity", 1.0, ("m s-1", "m s^-1", "m/sec")),
-    ("mm/s", "velocity", 1e-3, ("mm s-1", "mm s^-1", "mm/sec")),
-    ("in/s", "velocity", 0.0254, ("ips", "IPS", "in/sec", "inch/s")),
-    ("m", "displacement", 1.0, ()),
-    ("mm", "displacement", 1e-3, ()),
-    ("µm", "displacement", 1e-6, ("um", "micron")),
-    ("mil", "displacement", 2.54e-5, ("mils",)),
-    ("Pa", "pressure", 1.0, ("N/m2", "N/m^2", "pascal")),
-    ("hPa", "pressure", 1e2, ("mbar",)),
-    ("kPa", "pressure", 1e3, ()),
-    ("MPa", "pressure", 1e6, ()),
-    ("bar", "pressure", 1e5, ()),
-    ("psi", "pressure", 6894.757293168, ("PSI", "lbf/in2", "lbf/in^2")),
-    ("N", "force", 1.0, ("newton",)),
-    ("kN", "force", 1e3, ()),
-    ("lbf", "force", 4.4482216152605, ("lb", "lbs", "pound", "pounds", "Pounds")),
-    ("N·m", "torque", 1.0, ("N m", "Nm", "N*m", "N.m", "N-m")),
-    ("V", "voltage", 1.0, ("volt", "volts", "Volt", "Volts")),
-    ("mV", "voltage", 1e-3, ()),
-    ("A", "current", 1.0, ()),
-    ("mA", "current", 1e-3, ()),
-    ("counts", "counts", 1.0, ("count", "cts", "digits", "LSB")),
-    ("FS", "full scale", 1.0, ("full scale",)),
-    ("min-1", "rotational speed", 1.0 / 60.0, ("rpm", "RPM", "1/min", "r/min", "rev/min", "tr/min", "U/min", "min^-1")),
-    ("Hz", "rotational speed", 1.0, ("1/s", "s-1", "s^-1", "rev/s", "r/s")),
-    ("rad/s", "rotational speed", 1.0 / (2.0 * math.pi), ("rad s-1",)),
-    ("deg", "angle", math.pi / 180.0, ("°", "degree", "degrees")),
-    ("rad", "angle", 1.0, ("radian", "radians")),
-    ("rev", "angle", 2.0 * math.pi, ("revs", "revolution", "revolutions", "turn", "turns")),
-    ("strain", "strain", 1.0, ("m/m",)),
-    ("µstrain", "strain", 1e-6, ("µε", "um/m", "µm/m", "microstrain")),
-    ("s", "time", 1.0, ("sec", "seconds", "second")),
-    ("ms", "time", 1e-3, ()),
-    ("µs", "time", 1e-6, ("us",)),
-    ("1", "ratio", 1.0, ()),
-    ("%", "ratio", 1e-2, ()),
+_TABLE: tuple[tuple[str, str, float, str], ...] = (
+    ("m/s2", "acceleration", 1.0, "m/s^2, m/s**2, m s-2, m s^-2, m*s-2, m/s/s, ms-2, m/sec2, m/sec^2"),
+    ("mm/s2", "acceleration", 1e-3, "mm/s^2, mm/s**2, mm s-2"),
+    ("g", "acceleration", STANDARD_GRAVITY_M_S2, "gn, g_n, g0"),
+    ("m/s", "velocity", 1.0, "m s-1, m s^-1, m/sec"),
+    ("mm/s", "velocity", 1e-3, "mm s-1, mm s^-1, mm/sec"),
+    ("in/s", "velocity", 0.0254, "ips, IPS, in/sec, inch/s"),
+    ("m", "displacement", 1.0, ""),
+    ("mm", "displacement", 1e-3, ""),
+    ("µm", "displacement", 1e-6, "um, micron"),
+    ("mil", "displacement", 2.54e-5, "mils"),
+    ("Pa", "pressure", 1.0, "N/m2, N/m^2, pascal"),
+    ("hPa", "pressure", 1e2, "mbar"),
+    ("kPa", "pressure", 1e3, ""),
+    ("MPa", "pressure", 1e6, ""),
+    ("bar", "pressure", 1e5, ""),
+    ("psi", "pressure", 6894.757293168, "PSI, lbf/in2, lbf/in^2"),
+    ("N", "force", 1.0, "newton"),
+    ("kN", "force", 1e3, ""),
+    ("lbf", "force", 4.4482216152605, "lb, lbs, pound, pounds, Pounds"),
+    ("N·m", "torque", 1.0, "N m, Nm, N*m, N.m, N-m"),
+    ("V", "voltage", 1.0, "volt, volts, Volt, Volts"),
+    ("mV", "voltage", 1e-3, ""),
+    ("A", "current", 1.0, ""),
+    ("mA", "current", 1e-3, ""),
+    ("counts", "counts", 1.0, "count, cts, digits, LSB"),
+    ("FS", "full scale", 1.0, "full scale"),
+    ("min-1", "rotational speed", 1.0 / 60.0, "rpm, RPM, 1/min, r/min, rev/min, tr/min, U/min, min^-1"),
+    ("Hz", "rotational speed", 1.0, "1/s, s-1, s^-1, rev/s, r/s"),
+    ("rad/s", "rotational speed", 1.0 / (2.0 * math.pi), "rad s-1"),
+    ("deg", "angle", math.pi / 180.0, "°, degree, degrees"),
+    ("rad", "angle", 1.0, "radian, radians"),
+    ("rev", "angle", 2.0 * math.pi, "revs, revolution, revolutions, turn, turns"),
+    ("strain", "strain", 1.0, "m/m"),
+    ("µstrain", "strain", 1e-6, "µε, um/m, µm/m, microstrain"),
+    ("s", "time", 1.0, "sec, seconds, second"),
+    ("ms", "time", 1e-3, ""),
+    ("µs", "time", 1e-6, "us"),
+    ("1", "ratio", 1.0, ""),
+    ("%", "ratio", 1e-2, ""),
 )
 
 ACCEPTED = ", ".join(name for name, *_ in _TABLE)
@@ -83,8 +78,7 @@ _SUFFIX = re.compile(
 _TIME_SUFFIX = re.compile(r"(?:time|zeit|t|timestamp|time[ _.-]stamp)[ _.-]*(ms|us|µs|sec|s|seconds)", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True)
-class Unit:
+class Unit(NamedTuple):
     """One unit: its spelling in results, the quantity that it measures, and SI base units per one of it."""
 
     name: str
@@ -92,8 +86,7 @@ class Unit:
     factor: float
 
 
-@dataclass(frozen=True, slots=True)
-class Sensitivity:
+class Sensitivity(NamedTuple):
     """Output of a sensor per unit of what it measures, both in SI base units."""
 
     output: Unit
@@ -112,7 +105,7 @@ def _key(text: str) -> str:
 _UNITS: dict[str, Unit] = {
     _key(spelling): Unit(name, quantity, factor)
     for name, quantity, factor, others in _TABLE
-    for spelling in (name, *others)
+    for spelling in (name, *filter(None, others.split(", ")))
 }
 
 
@@ -129,8 +122,7 @@ def unit_of(text: str) -> Unit:
     unit = known_unit(text)
     if unit is None:
         close = difflib.get_close_matches(text[:_MAX_CHARACTERS], [*_UNITS, "g"], n=1, cutoff=0.6)
-        if text.casefold() == "g":
-            close = ["g"]
+        close = ["g"] if text.casefold() == "g" else close
         remedy = f"Did you mean {close[0]!r}?" if close else "Write one of these"
         raise RequestError("unknown unit", found=repr(text), allowed=ACCEPTED, remedy=remedy)
     return unit

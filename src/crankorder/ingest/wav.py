@@ -9,9 +9,9 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -49,8 +49,7 @@ _SPEAKS_OF_SCALE = re.compile(
 _TAIL_BYTES = 4_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class _Channel:
+class _Channel(NamedTuple):
     """What a calibration says of a channel: its name, its unit, and the ``scale`` of a full-scale sample in that."""
 
     name: str
@@ -58,8 +57,7 @@ class _Channel:
     scale: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
+class _Layout(NamedTuple):
     """How the samples lie, as a ``fmt`` chunk says."""
 
     n_channels: int
@@ -70,8 +68,7 @@ class _Layout:
     is_float: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
+class _Header(NamedTuple):
     layout: _Layout
     data_start: int
     n_present: int
@@ -112,14 +109,13 @@ def _header_of(path: Path, settings: IngestSettings) -> _Header:
     layout, found = b"", _Notes()
     start, length, is_open = -1, 0, False
     with path.open("rb") as stream:
-        declared = struct.unpack("<4sI", stream.read(8).ljust(8, b"\0"))[1] + 8
+        declared = _head(stream, 0)[1] + 8
         for number, (name, begin, n_bytes) in enumerate(_chunks(stream, size, declared)):
             if number > settings.max_objects:
                 raise UnsafeInputError(f"holds more than {settings.max_objects} chunks", remedy=_LEAVE_OUT)
             if name == b"data":
                 start, length = begin, n_bytes
-                is_open = not _is_filled_in(stream, start, length, size)
-                if is_open:
+                if is_open := not _is_filled_in(stream, start, length, size):
                     break
             elif begin + n_bytes > size and (start < 0 or name == _LEA):
                 raise InputError(f"truncated: {size} of {begin + n_bytes} bytes", remedy=_COPY)
@@ -204,8 +200,8 @@ def _stray_chunk(stream: BinaryIO, begin: int, size: int) -> tuple[int, bytes] |
     place = tail.find(_LEA)
     if place < 0 or len(tail) < place + 8:
         return None
-    length = struct.unpack_from("<I", tail, place + 4)[0]
-    return (begin + place, tail[place + 8 : place + 8 + length]) if place + 8 + length <= len(tail) else None
+    end = place + 8 + struct.unpack_from("<I", tail, place + 4)[0]
+    return (begin + place, tail[place + 8 : end]) if end <= len(tail) else None
 
 
 @dataclass(slots=True)
@@ -249,11 +245,10 @@ def _checked(
     path: Path, layout: _Layout, data_start: int, n_bytes: tuple[int, int], found: _Notes, *, is_open: bool
 ) -> _Header:
     """The header of a file of whose samples ``n_bytes`` are declared and present; what is ``is_open`` was streamed."""
-    n_channels, frame_bytes, channels = layout.n_channels, layout.frame_bytes, found.channels
+    n_channels, frame_bytes, channels, doubts = layout.n_channels, layout.frame_bytes, found.channels, found.doubts
     n_declared, n_present = (count // frame_bytes for count in n_bytes)
     if n_bytes[1] < _MIN_PRESENT * n_bytes[0]:
         raise InputError(f"truncated: {n_present} of {n_declared} samples", remedy=_COPY)
-    doubts = list(found.doubts)
     if channels and len(channels) != n_channels:
         doubts.append(f"its calibration (LEA chunk) is for {len(channels)} channels, the samples have {n_channels}")
         channels = ()
@@ -268,10 +263,10 @@ def _checked(
         shown = "; ".join(doubts[:3])
         faults["calibration_unknown"] = f"{shown}: levels are fractions of full scale; state a sensitivity"
     flags = [flag(path, name, "suspect", detail) for name, detail in faults.items()]
-    channels = channels or tuple(_Channel("") for _ in range(n_channels))
+    channels = channels or (_Channel(""),) * n_channels
     names = {channel.name for channel in channels}
     if len(names) < n_channels or "" in names:
-        channels = tuple(replace(channel, name=str(number)) for number, channel in enumerate(channels))
+        channels = tuple(channel._replace(name=str(number)) for number, channel in enumerate(channels))
     return _Header(layout, data_start, n_present, channels, flags)
 
 
@@ -293,9 +288,8 @@ def _calibrations(chunk: bytes) -> tuple[_Channel, ...]:
             name, unit = record[6 : 6 + n_name], record[8 + n_name : 8 + n_name + n_unit]
             scale = float(np.float64(full_scale) * np.float64(factor))
             if offset != 0.0 or not (np.isfinite(scale) and scale > 0):
-                raise ValueError(
-                    f"channel {len(found)} has full scale {full_scale:g}, offset {offset:g}, factor {factor:g}"
-                )
+                stated = f"full scale {full_scale:g}, offset {offset:g}, factor {factor:g}"
+                raise ValueError(f"channel {len(found)} has {stated}")
             found.append(_Channel(name.decode("latin-1"), unit.decode("latin-1"), scale))
             position += 8 + length
     except struct.error:
@@ -308,9 +302,7 @@ def _calibrations(chunk: bytes) -> tuple[_Channel, ...]:
 def _decoded(data: bytes, layout: _Layout) -> np.ndarray[Any, np.dtype[Any]]:
     """Samples (frame, channel) in the file's own type; 24-bit integers widen to 32."""
     if layout.n_bits == 24:
-        octets = np.frombuffer(data, np.uint8).reshape(-1, 3)
-        wide = np.zeros((len(octets), 4), np.uint8)
-        wide[:, 1:] = octets
+        wide = np.pad(np.frombuffer(data, np.uint8).reshape(-1, 3), ((0, 0), (1, 0)))
         return (wide.view("<i4") >> 8).reshape(-1, layout.n_channels)
     kind = "f" if layout.is_float else "u" if layout.n_bits == 8 else "i"
     return np.frombuffer(data, f"<{kind}{layout.n_bits // 8}").reshape(-1, layout.n_channels)
