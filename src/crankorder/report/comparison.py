@@ -22,16 +22,14 @@ from crankorder.plot.reading import (
     at_speed,
     estimate_text,
     frequency_text,
-    interval_of,
     is_number,
     listed,
     named,
     number_text,
     order_text,
     short,
-    with_interval,
 )
-from crankorder.records import Record, known
+from crankorder.records import known
 from crankorder.report.sentences.story import Answer, Story
 from crankorder.report.tables import Table, table_of
 from crankorder.settings import ReportSettings
@@ -177,10 +175,9 @@ def _moving_masses(comparison: Comparison) -> str:
     changed = {mass.quantity: mass for mass in comparison.balance if mass.changed}
     for quantity in ("residual_reciprocating_g", "along_g", "residual_second_order_g"):
         if mass := changed.get(quantity):
-            size, more = (1, "more") if mass.change > 0 else (-1, "less")
-            return (
-                f"{went}: {scaled_text(mass, 'change', size)} g {more} unbalanced mass along the cylinder explains it."
-            )
+            sign, more = (1, "more") if mass.change > 0 else (-1, "less")
+            mass_g = estimate_text(mass, "change", unit="g", factor=sign)
+            return f"{went}: {mass_g} {more} unbalanced mass along the cylinder explains it."
     return f"{went}: a change of the moving masses explains it."
 
 
@@ -267,7 +264,7 @@ def _growth_sentences(comparison: Comparison) -> list[str]:
     sentences = []
     for lines in alike([trend for trend in comparison.trend if trend.grows]):
         first = lines[0]
-        growth = scaled_text(first, "growth_per_run", 100)
+        growth = estimate_text(first, "growth_per_run", factor=100)
         rule = "" if first.kind == "order" else " A growing amplitude of a bearing line means a failing bearing."
         where = short(first.channel) if first.channel else "the envelope"
         names = " or ".join(dict.fromkeys(short(trend.line) for trend in lines))
@@ -302,7 +299,7 @@ def _mass_sentences(comparison: Comparison) -> list[str]:
     # grams where all stated masses sit at one radius
     per_gmm, unit = (1.0 / trial.radius_mm, "g") if trial.radius_mm else (1.0, "g·mm")
     before, after = (
-        f"{scaled_text(trial, size, per_gmm)} {unit}" + (f" at {angle:.0f}°" if is_number(angle) else "")
+        estimate_text(trial, size, unit=unit, factor=per_gmm) + (f" at {angle:.0f}°" if is_number(angle) else "")
         for size, angle in (
             ("residual_rotating_gmm", trial.angle_deg), ("residual_after_gmm", trial.angle_after_deg)
         )
@@ -361,12 +358,6 @@ def _what_to_do(comparison: Comparison) -> list[str]:
     if any(trend.grows and trend.kind != "order" for trend in comparison.trend):
         advice.append("Replace the bearing whose line grows, or watch it in shorter intervals.")
     return advice
-
-
-def scaled_text(record: Record, key: str, factor: float) -> str:
-    """Text of the estimate ``key`` of a ``record`` with its 95 % interval, both times ``factor``."""
-    ends = sorted(factor * end for end in interval_of(record, key) or ())
-    return with_interval(factor * getattr(record, key), ends or None)
 
 
 _ANSWERS: dict[Answer, str] = {"what": "What changed", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}
@@ -475,7 +466,7 @@ def _balance(comparison: Comparison, _: Shorten) -> Table:
 def _trend(comparison: Comparison, short: Shorten) -> Table:
     rows = [
         [
-            short(t.line), t.kind, short(t.channel), _YES[t.changed], scaled_text(t, "growth_per_run", 100),
+            short(t.line), t.kind, short(t.channel), _YES[t.changed], estimate_text(t, "growth_per_run", factor=100),
             ", ".join(number_text(value) for value in t.amplitude), _chance(t.p_value), t.verdict,
         ]
         for t in sorted(comparison.trend, key=lambda trend: (not trend.changed, trend.kind, trend.line))

@@ -199,10 +199,9 @@ def _modes(findings: Findings, limit: int) -> Table:
 
 
 def _mode_row(mode: ModeFinding, remark: str, limit: int) -> list[str]:
-    value, (low, high) = mode.damping_ratio, mode.damping_ratio_ci95 or (None, None)
-    percent, *ends = (None if number is None else 100 * number for number in (value, low, high))
     channels, evidence = named(", ".join(mode.channels), limit=limit), named(mode.evidence, limit=4 * limit)
-    return [estimate_text(mode, "frequency_hz"), with_interval(percent, ends), channels, remark, evidence]
+    damping = estimate_text(mode, "damping_ratio", factor=100)
+    return [estimate_text(mode, "frequency_hz"), damping, channels, remark, evidence]
 
 
 def _shaken(mode: ModeFinding, findings: Findings) -> float:
