@@ -233,6 +233,11 @@ def at_speed(rpm: float | None) -> str:
     return f" at {rpm:.0f} rpm" if is_number(rpm) else ""
 
 
+def speed_text(rpm: float) -> str:
+    """``"1800 rpm"``, in words where ``rpm`` is not finite."""
+    return f"{rpm:.0f} rpm" if math.isfinite(rpm) else "speed not known"
+
+
 def order_estimate(record: Any, findings: Findings) -> str:
     """Order of a ``record`` with its interval, ``"5.500 (5.497…5.503)"``; without one its name in the ``findings``."""
     return estimate_text(record, "order") if getattr(record, "order_ci95", None) else order_name(record, findings)
