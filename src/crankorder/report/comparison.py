@@ -139,23 +139,18 @@ def _cause_sentence(comparison: Comparison) -> str:
     if len(orders) > _FEW:
         few = _orders_text(orders).partition(" ")[2] if len(orders) <= _MANY else between
         return f"{len(orders)} orders changed ({few}).{unexplained}"
-    parts = []
-    for order in orders:
-        verb, clearest = _ratio_of(comparison, order)
-        parts.append(f"order {order_text(order)} {verb}" + (f" to {_times(clearest)}" if clearest else ""))
+    ratios = [(order_text(order), *_ratio_of(comparison, order)) for order in orders]
+    parts = [f"order {order} {verb}" + (f" to {_times(record)}" if record else "") for order, verb, record in ratios]
     return f"{_capital(listed(parts))}; no other order changed.{unexplained}"
 
 
 def _unchanged(comparison: Comparison) -> str:
     """Sentence on what was compared without a significant change, and what was not compared."""
-    compared = (
-        ("orders", "no order", bool(comparison.orders)),
-        ("natural frequencies", "no natural frequency that both tests show",
-         any(mode.only_in is None for mode in comparison.modes)),
-    )  # fmt: skip
-    unchanged = [f"{listed([none for _, none, yes in compared if yes])} changed"]
-    unchanged += ["no bearing line grew"] if any(trend.kind != "order" for trend in comparison.trend) else []
-    left = listed([many for many, _, yes in compared if not yes])
+    of_both = any(mode.only_in is None for mode in comparison.modes)
+    none = ["no order"] * bool(comparison.orders) + ["no natural frequency that both tests show"] * of_both
+    unchanged = [f"{listed(none)} changed"]
+    unchanged += ["no bearing line grew"] * any(trend.kind != "order" for trend in comparison.trend)
+    left = listed(["orders"] * (not comparison.orders) + ["natural frequencies"] * (not of_both))
     rest = "other lines, tones and noise"
     rest = f"{left} could not be compared, nor are {rest}" if left else f"{rest} are not compared"
     return f"{_capital(listed(unchanged))} by more than chance alone would change it; {rest}."
@@ -190,9 +185,7 @@ def _ratio_of(comparison: Comparison, order: float) -> tuple[str, OrderChangeRec
         and (ends := known(record.ratio_db_ci95)) and not ends[0] <= 0 <= ends[1]
     ]  # fmt: skip
     verbs = {_verb(record) for _, record in clear}
-    if len(verbs) != 1:
-        return "changed", None
-    return verbs.pop(), min(clear, key=lambda pair: pair[0])[1]
+    return (verbs.pop(), min(clear, key=lambda pair: pair[0])[1]) if len(verbs) == 1 else ("changed", None)
 
 
 def _verb(record: OrderChangeRecord) -> str:
@@ -205,9 +198,8 @@ def _orders_text(orders: Sequence[float]) -> str:
 
 
 def _became(unbalance: UnbalanceRecord) -> str:
-    low, high = unbalance.factor_ci95
+    (low, high), ends = unbalance.factor_ci95, known(unbalance.turned_deg_ci95)
     verb = "fell to" if high < 1 else "rose to" if low > 1 else "kept its size but turned:"
-    ends = known(unbalance.turned_deg_ci95)
     turned = f", turned by {estimate_text(unbalance, 'turned_deg')}°" if ends and not ends[0] <= 0 <= ends[1] else ""
     return f"{verb} {estimate_text(unbalance, 'factor')} of what it was{turned}"
 
@@ -277,15 +269,13 @@ def _law_sentences(comparison: Comparison) -> list[str]:
     best = _best_unbalance(comparison)
     if best is None or best.n_speeds < 2 or _turned(comparison):
         return []
-    stiff = (
-        "The change of order 1 grows with the square of speed at one phase, as the force of a mass on a stiff path "
-        "does."
-    )
-    resonant = (
-        "The change of order 1 does not grow with the square of speed: a resonance lies between the force and the "
-        "sensor. Its ratio does not depend on that, for both tests went through the same path."
-    )
-    return [stiff if best.square_law_p is not None and best.square_law_p >= 1e-3 else resonant]
+    law = "grows with the square of speed at one phase, as the force of a mass on a stiff path does."
+    if not (best.square_law_p or 0.0) >= 1e-3:
+        law = (
+            "does not grow with the square of speed: a resonance lies between the force and the sensor. Its ratio does "
+        )
+        law += "not depend on that, for both tests went through the same path."
+    return [f"The change of order 1 {law}"]
 
 
 def _mass_sentences(comparison: Comparison) -> list[str]:
@@ -345,19 +335,17 @@ def _capital(text: str) -> str:
 
 
 def _what_to_do(comparison: Comparison) -> list[str]:
-    advice, orders = [], comparison.cause.orders
-    differing = {confound.what for confound in comparison.confounds}
-    if REPEATS in differing and orders and len(comparison.runs) < 3:
-        advice.append("Repeat one of the tests without a change: what differs then is the set-up, not the build.")
-    if PROGRAM in differing:
-        advice.append("Analyse both again with one version of the program.")
-    if _turned(comparison) and len(orders) > 1:
-        advice.append(
-            "If the mark was moved, state its angle (index_to_tdc_deg) in the manifests: amplitudes alone are compared."
-        )
-    if any(trend.grows and trend.kind != "order" for trend in comparison.trend):
-        advice.append("Replace the bearing whose line grows, or watch it in shorter intervals.")
-    return advice
+    orders, differing = comparison.cause.orders, {confound.what for confound in comparison.confounds}
+    fails = any(trend.grows and trend.kind != "order" for trend in comparison.trend)
+    advice = {
+        "Repeat one of the tests without a change: what differs then is the set-up, not the build.":
+            REPEATS in differing and orders and len(comparison.runs) < 3,
+        "Analyse both again with one version of the program.": PROGRAM in differing,
+        "If the mark was moved, state its angle (index_to_tdc_deg) in the manifests: amplitudes alone are compared.":
+            _turned(comparison) and len(orders) > 1,
+        "Replace the bearing whose line grows, or watch it in shorter intervals.": fails,
+    }  # fmt: skip
+    return [text for text, holds in advice.items() if holds]
 
 
 _ANSWERS: dict[Answer, str] = {"what": "What changed", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import AvoidedSpeed, EnergyShares, Findings, FreeBand, ModeFinding, OpenBand, Quality
@@ -85,9 +86,7 @@ def table_of(
     ``rows`` are of text; a page holds the first 400. ``empty`` stands in their place where there are none, ``note``
     above them; ``more`` is folded away.
     """
-    columns: list[dict[str, object]] = [
-        {"title": head.removesuffix("#"), "number": head.endswith("#")} for head in heads.split("|")
-    ]
+    columns = [dict[str, object](title=head.removesuffix("#"), number=head.endswith("#")) for head in heads.split("|")]
     if len(rows) > _FOLDED:
         note = f"{note} The first {_FOLDED} of {len(rows)}; findings.json holds all.".strip()
     return Table(title, columns, rows[:_FOLDED], empty, note, more)
@@ -157,10 +156,9 @@ def _peak_text(record: AvoidedSpeed, findings: Findings) -> str:
 
 def _orders(findings: Findings, limit: int) -> Table:
     loudest = strongest_by(findings.orders, lambda record: unit_of(findings, record))
+    largest = {unit: record.amplitude or 1.0 for unit, record in loudest.items()}
     rows = []
-    for record in sorted(
-        findings.orders, key=lambda record: -record.amplitude / (loudest[unit_of(findings, record)].amplitude or 1.0)
-    ):
+    for record in sorted(findings.orders, key=lambda order: -order.amplitude / largest[unit_of(findings, order)]):
         lock: str | None = record.lock
         if lock == "slips" and hertz_of_order(record, findings):
             lock = "no exact multiple"
@@ -211,11 +209,8 @@ def _shaken(mode: ModeFinding, findings: Findings) -> float:
 
 
 def _undecided(findings: Findings, limit: int) -> Table:
-    rows = [
-        _mode_row(mode, named(mode.undecided or "", limit=4 * limit), limit)
-        for mode in findings.modes
-        if is_undecided(mode)
-    ]
+    modes = filter(is_undecided, findings.modes)
+    rows = [_mode_row(mode, named(mode.undecided or "", limit=4 * limit), limit) for mode in modes]
     heads = "Frequency, Hz#|Damping, %#|Channels|Why it is not decided|Evidence"
     return table_of("Perhaps natural frequencies: not decided", heads, rows)
 
@@ -388,31 +383,27 @@ def _energy(findings: Findings, limit: int) -> Table:
 
 def _square_unit(unit: str) -> str:
     """Typographic form of a squared unit: ``"(m/s²)²"`` for ``"(m/s2)²"``, ``"V²"`` for ``"(V)²"``."""
-    if not (unit.startswith("(") and unit.endswith((")²", ")2"))):
-        return unit_text(unit)
     inner = unit_text(unit[1:-2])
-    return f"({inner})²" if not inner.isalnum() else f"{inner}²"
+    squared = f"{inner}²" if inner.isalnum() else f"({inner})²"
+    return squared if unit.startswith("(") and unit.endswith((")²", ")2")) else unit_text(unit)
 
 
 def _bar(record: EnergyShares, limit: int) -> dict[str, object]:
     """Parts of a bar of length 100; shares that add up to more than all are scaled down to it."""
     shares = {key: max(getattr(record, key) or 0.0, 0.0) for key, _ in PARTS}
     scale = 100 / max(1.0, sum(shares.values()))
-    parts, start = [], 0.0
-    for key, share in shares.items():
-        width = scale * share
-        if width > 0:
-            parts.append({"kind": key.replace("_", "-"), "start": f"{start:.2f}", "width": f"{width:.2f}"})
-        start += width
+    widths = {key.replace("_", "-"): scale * share for key, share in shares.items()}
+    starts = accumulate(widths.values(), initial=0.0)
+    spans = [(kind, start, width) for (kind, width), start in zip(widths.items(), starts, strict=False) if width > 0]
+    parts = [{"kind": kind, "start": f"{start:.2f}", "width": f"{width:.2f}"} for kind, start, width in spans]
     return {"name": named(record.channel, limit=limit), "parts": parts}
 
 
 def _lines(findings: Findings, limit: int) -> Table:
     rows = []
     for line in sorted(findings.lines, key=lambda line: -line.size):
-        place = f"{estimate_text(line, 'frequency_hz')} Hz"
-        if line.order is not None:
-            place = f"order {order_estimate(line, findings)}"
+        hertz = f"{estimate_text(line, 'frequency_hz')} Hz"
+        place = hertz if line.order is None else f"order {order_estimate(line, findings)}"
         level = estimate_text(line, "amplitude", unit=unit_of(findings, line))
         explained = named(line.explained_by or "unexplained", limit=2 * limit)
         rows.append([named(line.channel, limit=limit), place, level, explained])
