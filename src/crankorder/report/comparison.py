@@ -269,12 +269,11 @@ def _law_sentences(comparison: Comparison) -> list[str]:
     best = _best_unbalance(comparison)
     if best is None or best.n_speeds < 2 or _turned(comparison):
         return []
-    law = "grows with the square of speed at one phase, as the force of a mass on a stiff path does."
-    if not (best.square_law_p or 0.0) >= 1e-3:
-        law = (
-            "does not grow with the square of speed: a resonance lies between the force and the sensor. Its ratio does "
-        )
-        law += "not depend on that, for both tests went through the same path."
+    if (best.square_law_p or 0.0) >= 1e-3:
+        law = "grows with the square of speed at one phase, as the force of a mass on a stiff path does."
+    else:
+        law = "does not grow with the square of speed: a resonance lies between the force and the sensor. Its ratio "
+        law += "does not depend on that, for both tests went through the same path."
     return [f"The change of order 1 {law}"]
 
 

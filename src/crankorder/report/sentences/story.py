@@ -227,11 +227,8 @@ def _balance_asks(findings: Findings) -> list[str]:
     if leads:
         channels = listed(list(map(short, leads)))
         asks.append(BALANCE if len(leads) == len(strongest) else BALANCE_IN.format(channels=channels))
-    if any(
-        record.kinds == (of_lines.LIKE_UNBALANCE,) and "few speeds" in record.doubts for record in strongest.values()
-    ):
-        asks.append(MORE_SPEEDS)
-    return asks
+    alike = [record for record in strongest.values() if record.kinds == (of_lines.LIKE_UNBALANCE,)]
+    return asks + [MORE_SPEEDS] * any("few speeds" in record.doubts for record in alike)
 
 
 def _repeat_sentences(findings: Findings) -> list[str]:
