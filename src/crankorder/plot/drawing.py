@@ -157,12 +157,11 @@ class Drawing:
 
 def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> None:
     """Bold ``title`` and a ``sentence`` under it, from ``left_in`` inches at the top of ``drawing``, cut to fit."""
-    room = drawing.width_in - left_in - 0.2
-    heading = shortened(title, LARGE, room, bold=True)
-    drawing.add(Words(left_in, drawing.height_in - 0.34, heading, LARGE, bold=True))
+    room, top = drawing.width_in - left_in - 0.2, drawing.height_in
+    drawing.add(Words(left_in, top - 0.34, shortened(title, LARGE, room, bold=True), LARGE, bold=True))
     if sentence:
         subtitle = shortened(sentence, NORMAL, room)
-        drawing.add(Words(left_in, drawing.height_in - 0.56, subtitle, NORMAL, FAINT, name="subtitle"))
+        drawing.add(Words(left_in, top - 0.56, subtitle, NORMAL, FAINT, name="subtitle"))
 
 
 def whole(places: Floats) -> Ints:
@@ -263,8 +262,8 @@ class Panel:
     def frame(self, *, whole: bool = False) -> None:
         """Left and bottom edges, or all four where ``whole``."""
         left, bottom, width, height = self.box
-        corners = [(left, bottom + height), (left, bottom), (left + width, bottom)]
-        self._edge(*corners, *([(left + width, bottom + height), corners[0]] if whole else []))
+        right, top = left + width, bottom + height
+        self._edge((left, top), (left, bottom), (right, bottom), *([(right, top), (left, top)] if whole else []))
 
     def _edge(self, *corners: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
         self.drawing.add(Stroke(np.array(corners), color, width, square=True))

@@ -7,16 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from crankorder.channel_units import unit_text
-from crankorder.comparison import (
-    FIRING,
-    PROGRAM,
-    REPEATS,
-    Comparison,
-    LineKind,
-    OrderChangeRecord,
-    Trend,
-    UnbalanceRecord,
-)
+from crankorder.comparison import FIRING, PROGRAM, REPEATS, Comparison, OrderChangeRecord, Trend, UnbalanceRecord
 from crankorder.identify.order_changes import TREND_NUMBERS as TREND
 from crankorder.plot.reading import (
     at_speed,
@@ -206,13 +197,12 @@ def _became(unbalance: UnbalanceRecord) -> str:
 
 def _order_sentences(comparison: Comparison) -> list[str]:
     """One sentence per order that changed, in the channel where its change is clearest."""
-    best: dict[float, OrderChangeRecord] = {}
+    best = dict[float, OrderChangeRecord]()
     for record in sorted(comparison.orders, key=lambda record: record.p_value):
         if record.changed:
             best.setdefault(record.order, record)
-    sentences = [_order_sentence(record) for record in best.values()]
-    more = [f"{len(sentences) - _MANY} more orders changed: see the table."] if len(sentences) > _MANY else []
-    return [*sentences[:_MANY], *more]
+    more = [f"{len(best) - _MANY} more orders changed: see the table."] * (len(best) > _MANY)
+    return [_order_sentence(record) for record in best.values()][:_MANY] + more
 
 
 def _order_sentence(record: OrderChangeRecord) -> str:
@@ -245,7 +235,7 @@ def _mode_sentences(comparison: Comparison) -> list[str]:
 
 def alike(trends: Sequence[Trend]) -> list[list[Trend]]:
     """The ``trends`` in groups of one order and channel, which only their names tell apart."""
-    groups: dict[tuple[LineKind, str, float], list[Trend]] = {}
+    groups = dict[tuple[str, str, float], list[Trend]]()
     for trend in trends:
         groups.setdefault((trend.kind, trend.channel, round(trend.order, 2)), []).append(trend)
     return list(groups.values())

@@ -173,14 +173,10 @@ def _orders(findings: Findings, limit: int) -> Table:
             named((record.speed_law or "–").split(" with speed")[0], limit=limit), _hertz(record, "meets_hz"),
             speeds_text(record.speed_range_rpm),
         ])  # fmt: skip
-    note = (
-        "The strongest first; where all speeds follow one law the amplitude is that of the law. "
-        "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
-    )
-    heads = (
-        "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|"
-        "With speed|Meets, Hz#|Seen, rpm#"
-    )
+    note = "The strongest first; where all speeds follow one law the amplitude is that of the law. "
+    note += "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
+    heads = "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#"
+    heads += "|Speed exponent#|With speed|Meets, Hz#|Seen, rpm#"
     return _folded("Orders", heads, rows, note=note if rows else "", empty=no_order_sentence(findings))
 
 
@@ -275,10 +271,8 @@ def _bearings(findings: Findings, limit: int) -> Table:
             "–" if multiples is None else str(multiples), order_text(apart) if is_number(apart) else "–",
             named(record.lock or "–", limit=limit),
         ])  # fmt: skip
-    heads = (
-        "Bearing|Line|Verdict|Seen in|Order expected#|Order found#|Slip, %#|Amplitude (peak)#|Channel|Multiples#|"
-        "Sidebands, orders apart#|To the shaft"
-    )
+    heads = "Bearing|Line|Verdict|Seen in|Order expected#|Order found#|Slip, %#|Amplitude (peak)#|Channel|Multiples#"
+    heads += "|Sidebands, orders apart#|To the shaft"
     empty = NO_BEARING_IN_ENVELOPE if "envelope" in findings.looked_for else NO_BEARING
     return table_of("Bearings", heads, rows, empty=empty)
 
@@ -459,7 +453,7 @@ def provenance_table(provenance: Mapping[str, object]) -> Table:
     everything = table_of(title, "Key|Value", rows, empty=empty)
     versions = provenance.get("versions")
     programs = versions.items() if isinstance(versions, Mapping) else ()
-    short = [[named(key, limit=60), named(value, limit=60)] for key, value in programs]
+    short = [[named(text, limit=60) for text in program] for program in programs]
     return table_of("Provenance", "Program|Version", short, empty="No versions were recorded.", more=everything)
 
 

@@ -7,18 +7,9 @@ states: how it slips, which lines are its own, and what they speak for.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
-from crankorder.findings import (
-    BearingFinding,
-    Findings,
-    Level,
-    LineFinding,
-    ModeFinding,
-    Motor,
-    MotorLine,
-    MotorSpeed,
-    OrderFinding,
-)
+from crankorder.findings import BearingFinding, Findings, Level, LineFinding, ModeFinding, Motor, OrderFinding
 from crankorder.plot.reading import (
     NAME_CHARACTERS,
     at_one_speed,
@@ -373,21 +364,18 @@ def _slip(motor: Motor) -> list[str]:
         return []
     by = "as its own lines measure" if motor.supply_measured else "as stated: no line of the mains measures it"
     slow, fast = (pick(speeds, key=lambda speed: speed.slip) for pick in (max, min))
-    text = f"The motor ({motor.poles} poles at {motor.supply_hz:.5g} Hz, {by}) slips by {_slip_text(fast)}"
-    if slow is not fast:
-        text += f" to {_slip_text(slow)}"
+    slips = []
+    for speed in [fast] if slow is fast else [fast, slow]:
+        low, high = (100.0 * end for end in speed.slip_ci95)
+        wide = f" ({max(low, 0.0):.2g}…{high:.2g})" if high - low > 0.1 else ""
+        slips.append(f"{100.0 * speed.slip:.3g} %{wide} at {speed.speed_rpm:.4g} rpm")
+    text = f"The motor ({motor.poles} poles at {motor.supply_hz:.5g} Hz, {by}) slips by {' to '.join(slips)}"
     if motor.supply_measured:
         ends = dict.fromkeys(f"{speed.pole_pass_hz:.3g}" for speed in (fast, slow))
         text += f"; its pole-pass frequency is {' to '.join(ends)} Hz"
     left_out = len(motor.speeds) - len(speeds)
     more = f"At {left_out} of {len(motor.speeds)} speeds its poles and supply do not fit, and no line is named."
     return [f"{text}.", *[more] * (left_out > 0)]
-
-
-def _slip_text(speed: MotorSpeed) -> str:
-    low, high = (100.0 * end for end in speed.slip_ci95)
-    wide = f" ({max(low, 0.0):.2g}…{high:.2g})" if high - low > 0.1 else ""
-    return f"{100.0 * speed.slip:.3g} %{wide} at {speed.speed_rpm:.4g} rpm"
 
 
 def _sides(name: str, motor: Motor, findings: Findings) -> str:
@@ -402,15 +390,15 @@ def _sides(name: str, motor: Motor, findings: Findings) -> str:
         if line.channel == top.channel:
             others = f" (or {' or '.join(map(short, line.others))}, which stands there too)" if line.others else ""
             texts.append(f"{line.frequency_hz:.2f} Hz{others}")
-    carriers: list[MotorLine | OrderFinding] = [line for line in motor.lines if line.name == carrier]
+    sizes = [(line.channel, line.amplitude) for line in motor.lines if line.name == carrier]
     if carrier != "twice mains":
-        carriers = [record for record in findings.orders if abs(record.order - 1.0) < 1e-3]
-    largest = max((line.amplitude for line in carriers if line.channel == top.channel), default=0.0)
+        sizes = [(record.channel, record.amplitude) for record in findings.orders if abs(record.order - 1.0) < 1e-3]
+    largest = max((amplitude for channel, amplitude in sizes if channel == top.channel), default=0.0)
     share = f", {percent_text(top.amplitude / largest)} of it" if largest > 0 else ""
     verb = "are its" if len(texts) > 1 else "is one of its"
     size = f", up to {_motor_level(findings, top)}{share}"
     return f"Beside {carrier}, {listed(texts)} {verb} pole-pass sidebands{size}: {_SPEAKS_FOR[name]}."
 
 
-def _motor_level(findings: Findings, line: MotorLine) -> str:
+def _motor_level(findings: Findings, line: Any) -> str:
     return f"{line.amplitude:.3g} {unit_of(findings, line)}".strip()
