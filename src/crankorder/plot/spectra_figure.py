@@ -362,7 +362,7 @@ def _by_speed(dataset: xr.Dataset, channel: int) -> dict[str, Floats]:
 
 _NAME_LETTERS = (60, 40, 30, 22, 16, 12, 8)  # of a bearing in a label, where there are several: the most that fit
 _FLOOR = LINES[4]
-_SIDEBANDS = 2  # marked on either side of a line that has some
+_SIDEBANDS = np.array([-2, -1, 1, 2])  # that are marked beside a line that has some
 _MULTIPLES = 12  # of a line that was found, marked at most
 _MOST_NAMED = 6  # lines that a notebook's picture names
 _CHANCE = 1e-3  # that noise alone is named there
@@ -475,17 +475,16 @@ def _draw_bearing_lines(panel: Panel, orders: Floats, values: Floats, findings: 
     """Whether a bearing line of a ``channel`` is ringed in ``panel``; thin lines mark its multiples and sidebands."""
     places = []
     for record in findings.bearings:
+        order, apart = record.order, record.sidebands or 0.0
         own = record.channel in (None, channel) and record.seen_in == "envelope"
-        if not own or not is_number(record.order) or not len(orders):
+        if not own or not is_number(order) or not len(orders):
             continue
-        order, multiples, apart = record.order, record.harmonics, record.sidebands
         places.append(order)
-        for number in range(2, min(int(multiples) if is_number(multiples) else 1, _MULTIPLES) + 1):
+        for number in range(2, min(int(record.harmonics or 1), _MULTIPLES) + 1):
             if number * order <= panel.x[1]:
                 panel.upright(number * order, color=LINES[1], width=0.7, alpha=0.45, name=f"multiple-{number}")
-        for number in range(-_SIDEBANDS, _SIDEBANDS + 1) if is_number(apart) and apart > 0 else ():
-            place = order + number * float(apart or 0.0)
-            if number and panel.x[0] < place < panel.x[1]:
+        for place in order + apart * _SIDEBANDS if apart > 0.0 else ():
+            if panel.x[0] < place < panel.x[1]:
                 panel.upright(place, color=LINES[3], dashes=TONE_DASHES, alpha=0.9, name="sideband")
     return ring_lines(panel, orders, values, places)
 

@@ -113,9 +113,8 @@ def shaft_sentences(findings: Findings) -> list[str]:
 def swing_sentences(findings: Findings) -> list[str]:
     """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
     swings = [swing for swing in findings.speed_swing if swing.speed_rpm > 0.0]
-    sides = sorted(
-        {nominal_order(record) for record in findings.orders if "sideband by a swing of the angle" in record.kinds}
-    )
+    by_swing = (record for record in findings.orders if "sideband by a swing of the angle" in record.kinds)
+    sides = sorted(set(map(nominal_order, by_swing)))
     more = [f"{len(sides) - _SIDES} more"] if len(sides) > _SIDES else []
     unsourced = [f"Orders {listed([*order_texts(sides)[:_SIDES], *more])} {_NO_SOURCES}."] if sides else []
     if not swings:
@@ -246,11 +245,9 @@ def level_sentences(findings: Findings) -> list[str]:
     if not levels:
         return []
     worst = max((level for level in levels if level.band_hz == levels[0].band_hz), key=lambda level: level.rms)
-    size = estimate_text(worst, "rms", unit=unit_text(worst.unit))
-    return [
-        f"The largest broad-band velocity (r.m.s., {band_of(worst.band_hz, worst.reached_hz)}) is {size}, in "
-        f"{short(worst.channel)}{at_speed(worst.speed_rpm)}."
-    ]
+    size = f"{estimate_text(worst, 'rms', unit=unit_text(worst.unit))}, in {short(worst.channel)}"
+    what = f"The largest broad-band velocity (r.m.s., {band_of(worst.band_hz, worst.reached_hz)})"
+    return [f"{what} is {size}{at_speed(worst.speed_rpm)}."]
 
 
 def limit_sentences(findings: Findings, *, verdict: str | None = None) -> list[str]:
@@ -265,11 +262,9 @@ def limit_sentences(findings: Findings, *, verdict: str | None = None) -> list[s
 
 
 def _limit_sentence(record: LimitVerdict) -> str:
-    what = f"The {record.quantity}"
-    if record.band_hz is not None:
-        what = f"The r.m.s. {record.quantity} ({band_of(record.band_hz, None)})"
+    unit, band = unit_text(record.unit), record.band_hz
+    what = f"The {record.quantity}" if band is None else f"The r.m.s. {record.quantity} ({band_of(band, None)})"
     what += f" of {short(record.channel)}" if record.channel else ""
-    unit = unit_text(record.unit)
     limit = f"{with_interval(record.value, None, unit=unit)} ({named(record.source, limit=2 * NAME_CHARACTERS)})"
     level = estimate_text(record, "level", unit=unit) + at_speed(record.speed_rpm)
     if record.verdict == "not decided":
@@ -282,6 +277,5 @@ def _limit_sentence(record: LimitVerdict) -> str:
 def band_of(band_hz: tuple[float | None, float | None], reached_hz: float | None) -> str:
     """``band_hz`` as "10 Hz to 1000 Hz", with its end at ``reached_hz`` where the recorder reaches no further."""
     low, high = band_hz
-    if is_number(reached_hz) and is_number(high) and reached_hz < high:
-        return f"{low:g} Hz to {reached_hz:.4g} Hz, as far as recorded"
-    return f"{low:g} Hz to {high:g} Hz"
+    is_cut = is_number(reached_hz) and is_number(high) and reached_hz < high
+    return f"{low:g} Hz to " + (f"{reached_hz:.4g} Hz, as far as recorded" if is_cut else f"{high:g} Hz")
