@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final, Literal
 
@@ -167,28 +167,25 @@ def level_frames(recording: xr.Dataset, shaft: xr.Dataset, *, bands: Sequence[Le
 
 def _levels(recording: xr.Dataset, bands: Sequence[LevelBand], rate_hz: float) -> list[_Level]:
     """The levels that the channels of ``recording`` can give."""
-    levels: list[_Level] = []
+    levels: dict[tuple[int, LevelBand], _Level] = {}
     known = "si_per_unit" in recording.variables
-    size = recording["si_per_unit"].values if known else np.full(recording.sizes["channel"], np.nan)
+    sizes = recording["si_per_unit"].values.tolist() if known else [math.nan] * recording.sizes["channel"]
     measured, units = recording["quantity"].values.tolist(), recording["unit"].values.tolist()
-    for channel, (own, unit) in enumerate(zip(measured, units, strict=True)):
-        seen: set[tuple[str, float, float, str]] = set()
+    for channel, (own, unit, size) in enumerate(zip(measured, units, sizes, strict=True)):
         for band in bands:
             wanted = own if band.quantity == "as measured" else band.quantity
             reached = min(band.high_hz, rate_hz / NUMBERS.rate_over_band)
-            key = (wanted, band.low_hz, band.high_hz, band.kind)
-            if key in seen or not reached > band.low_hz or (band.kind == "one-third octave" and reached < band.high_hz):
+            if not reached > band.low_hz or (band.kind == "one-third octave" and reached < band.high_hz):
                 continue
-            converted = wanted in DERIVATIVE and own in DERIVATIVE and math.isfinite(float(size[channel]))
-            if wanted != own and not converted:
-                continue
-            seen.add(key)
-            of_level, factor, times, si = unit, 1.0, 0, float(size[channel])
+            of_level, factor, times, si = unit, 1.0, 0, size
             if wanted != own:
+                if wanted not in DERIVATIVE or own not in DERIVATIVE or not math.isfinite(size):
+                    continue
                 of_level, si = UNITS[wanted]
-                factor, times = float(size[channel]) / si, DERIVATIVE[wanted] - DERIVATIVE[own]
-            levels.append(_Level(channel, band, wanted, of_level, factor, times, reached, si))
-    return levels
+                factor, times = size / si, DERIVATIVE[wanted] - DERIVATIVE[own]
+            level = _Level(channel, band, wanted, of_level, factor, times, reached, si)
+            levels.setdefault((channel, replace(band, quantity=wanted)), level)
+    return list(levels.values())
 
 
 def _pieces(n_samples: int, rate_hz: float, levels: list[_Level], frame_s: float) -> _Pieces:
@@ -232,8 +229,7 @@ def _squares_and_peaks(signals: NDArray[Any], pieces: _Pieces, levels: list[_Lev
 
 def _of_part(part: Any, pieces: _Pieces, levels: list[_Level], margin: int) -> Floats:
     """Mean square and peak (2, levels, frames) of a stretch of a channel, by one transform."""
-    mean = float(part.mean())
-    count = fft.next_fast_len(len(part) + margin, real=True)
+    mean, count = float(part.mean()), fft.next_fast_len(len(part) + margin, real=True)
     spectrum = _spectrum(part, mean, pieces, count)
     square, peak = both = np.full((2, len(levels), len(pieces.starts)), np.nan)
     edges = (pieces.starts[:, None] + np.array([0, pieces.length])) / count
@@ -446,9 +442,8 @@ def recording_levels(
     power = _power(signals.values, starts, length)
     bins = np.arange(power.shape[2], dtype=np.float64) * (rate / max(length, 1))
     # where the band ends in each piece: in Hz, or in orders where the samples are per revolution
-    limit = np.maximum(np.nan_to_num(orders.max_order * rpm / 60.0), campbell.max_frequency_hz)
-    if per_rev:
-        limit = np.full(len(rpm), orders.max_order)
+    in_hz = np.maximum(np.nan_to_num(orders.max_order * rpm / 60.0), campbell.max_frequency_hz)
+    limit = np.full(len(rpm), orders.max_order) if per_rev else in_hz
     above = bins >= limit[:, None]
     usable = np.isfinite(power).all(axis=2, keepdims=True)
     known = np.where(usable, power, 0.0)
@@ -485,13 +480,12 @@ def _strongest(power: Floats, bins: Floats, limit: Floats, rpm: Floats, *, per_r
     lobe = _lobe(power, *at.T)
     for piece, place in at[np.argsort(-lobe)][:TRIED].tolist():
         if _stays(power, piece, place, rpm):
-            around = slice(place - LOBE_BINS, place + LOBE_BINS + 1)
+            around, speed = slice(place - LOBE_BINS, place + LOBE_BINS + 1), float(rpm[piece])
             value = float(power[piece, around] @ bins[around] / power[piece, around].sum())
-            speed = float(rpm[piece])
-            hertz, order = (math.nan, value) if per_rev else (value, 60.0 * value / speed)
-            band = math.nan if per_rev else float(limit[piece])
             size = math.sqrt(2.0 * float(_lobe(power, np.array(piece), np.array(place))))
-            return size, hertz, band, order, speed
+            if per_rev:
+                return size, math.nan, math.nan, value, speed
+            return size, value, float(limit[piece]), 60.0 * value / speed, speed
     return NO_LINE
 
 
@@ -547,14 +541,12 @@ def _stays(power: Floats, piece: int, place: int, rpm: Floats) -> bool:
     alike = np.abs(rpm / rpm[piece] - 1.0) <= HELD if known else np.ones(len(power), dtype=bool)
     others = np.flatnonzero(alike)
     others = others if len(others) >= FEWEST_ALIKE else np.array([piece - 1, piece, piece + 1])
-    sizes = []
-    for other in others[(others >= 0) & (others < len(power))].tolist():
-        middle = round(place * float(rpm[other] / rpm[piece])) if known else place
-        if 0 < middle < power.shape[1] - 1:
-            size = float(_lobe(power, np.array(other), np.arange(middle - 1, middle + 2)).max())
-            if math.isfinite(size):  # a piece with a gap tells nothing
-                sizes.append(size)
-    return len(sizes) > 1 and min(sizes) >= STEADY * float(np.mean(sizes))
+    others = others[(others >= 0) & (others < len(power))]
+    middle = np.rint(place * (rpm[others] / rpm[piece])).astype(np.int64) if known else np.full(len(others), place)
+    inside = (middle > 0) & (middle < power.shape[1] - 1)
+    sizes = _lobe(power, others[inside, None], middle[inside, None] + np.arange(-1, 2)).max(axis=1)
+    sizes = sizes[np.isfinite(sizes)]  # a piece with a gap tells nothing
+    return len(sizes) > 1 and bool(sizes.min() >= STEADY * sizes.mean())
 
 
 def _floors(mean: Floats, blocks: int) -> Floats:

@@ -8,17 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.quantities import (
-    Floats,
-    Ints,
-    QualityFlag,
-    Variables,
-    channel_coords,
-    described,
-    flags_of,
-    remark,
-    with_flags,
-)
+from crankorder.quantities import Floats, Ints, Variables, channel_coords, described, flags_of, remark, with_flags
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.speeds import speed_groups
 
@@ -47,9 +37,9 @@ def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
             alike.setdefault((item.sizes["frequency"], finest), []).append(number)
     for numbers in alike.values():
         count = _count_leading([frames[number] for number in numbers])
-        most = [frames[number].sizes["frame"] - _apart(frames[number]) - NUMBERS.fewest_later + 1 for number in numbers]
-        for number, at_most in zip(numbers, most, strict=True):
-            leading[number] = np.minimum(count, at_most)
+        for number in numbers:
+            later = _apart(frames[number]) + NUMBERS.fewest_later
+            leading[number] = np.minimum(count, frames[number].sizes["frame"] - later + 1)
     return leading if any(count.any() for count in leading) else None
 
 
@@ -64,8 +54,7 @@ def _count_leading(items: list[xr.Dataset]) -> Ints:
     on = np.ones(len(leading), dtype=bool)
     powers = [(item["power"].values, _apart(item)) for item in items]
     for frame in range(max(power.shape[1] for power, _ in powers)):
-        chance = _chance(powers, frame)
-        if chance is None:
+        if (chance := _chance(powers, frame)) is None:
             break
         seen = on & (chance < (NUMBERS.next_chance if frame else NUMBERS.start_chance))
         if frame == 0:
@@ -159,7 +148,11 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
         "sweep_hz_per_order": max(float(item.attrs["sweep_hz_per_order"]) for item in frames),
     }
     flags = [flag for item in frames for flag in flags_of(item)]
-    return with_flags(result, flags + _cut_flags(frames, n_shown, grid_hz))
+    if min(n_shown) < max(n_shown):
+        name = str(frames[n_shown.index(min(n_shown))].attrs["recording"])
+        detail = f"its sample rate ends the map of the whole test at {(min(n_shown) - 1) * grid_hz:g} Hz"
+        flags.append(remark(name, "map_cut", detail))
+    return with_flags(result, flags)
 
 
 def _grid_hz(frames: list[xr.Dataset]) -> float:
@@ -176,22 +169,14 @@ def _enbw_hz(frames: xr.Dataset) -> float:
     return float(frames.attrs["enbw_bins"]) * float(frames.attrs["resolution_hz"])
 
 
-def _cut_flags(frames: list[xr.Dataset], n_shown: list[int], grid_hz: float) -> list[QualityFlag]:
-    """Remark on the recording whose sample rate ends the map, where others reach further."""
-    if min(n_shown) == max(n_shown):
-        return []
-    name = str(frames[n_shown.index(min(n_shown))].attrs["recording"])
-    detail = f"its sample rate ends the map of the whole test at {(min(n_shown) - 1) * grid_hz:g} Hz"
-    return [remark(name, "map_cut", detail)]
-
-
-def _groups_and_scales(frames: list[xr.Dataset], groups: list[Ints]) -> tuple[Ints, list[Floats], Floats]:
-    """Group of each frame of all ``frames``; the scale (channel,) of each recording, and the least of each channel."""
-    group_of = np.empty(sum(item.sizes["frame"] for item in frames), dtype=np.int64)
+def _groups_and_scales(frames: list[xr.Dataset], groups: list[Ints]) -> tuple[list[Ints], list[Floats], Floats]:
+    """Group of each frame, and the scale (channel,), of each recording; the least scale of each channel."""
+    ends = np.cumsum([item.sizes["frame"] for item in frames])
+    group_of = np.empty(ends[-1], dtype=np.int64)
     for number, group in enumerate(groups):
         group_of[group] = number
     scales = [item["scale"].values if "scale" in item else np.ones(item.sizes["channel"]) for item in frames]
-    return group_of, scales, np.min(scales, axis=0)
+    return np.split(group_of, ends[:-1]), scales, np.min(scales, axis=0)
 
 
 def _group_means(
@@ -205,10 +190,8 @@ def _group_means(
     tone = np.zeros((n_channels, len(groups), len(frequency)))
     density, counts = np.zeros_like(tone), np.zeros(tone.shape[:2], dtype=np.int64)
     group_of, scales, common = _groups_and_scales(frames, groups)
-    first = 0
-    for item, scale in zip(frames, scales, strict=True):
-        mine, local = np.unique(group_of[first : first + item.sizes["frame"]], return_inverse=True)
-        first += item.sizes["frame"]
+    for item, scale, own in zip(frames, scales, group_of, strict=True):
+        mine, local = np.unique(own, return_inverse=True)
         sums = np.zeros((n_channels, len(mine), item.sizes["frequency"]))
         used = np.zeros(sums.shape[:2], dtype=np.int64)
         power = item["power"].values
@@ -234,16 +217,14 @@ def _settled(
     leading = leading_frames(frames)
     if leading is None:
         return {}
-    n_frames = [item.sizes["frame"] for item in frames]
     group_of, scales, common = _groups_and_scales(frames, groups)
-    first = np.concatenate([[0], np.cumsum(n_frames)[:-1]])
     left, share = density * counts[..., None], np.ones(density.shape) * counts[..., None]
-    for item, scale, count, begin in zip(frames, scales, leading, first, strict=True):
+    for item, scale, count, own in zip(frames, scales, leading, group_of, strict=True):
         power = item["power"].values[:, : count.max(initial=0)].astype(np.float64)
         used = np.isfinite(power[..., :1]) & (count > np.arange(power.shape[1])[:, None])
         taken = _density_on_grid(item, np.where(used, power * ((common / scale) ** 2)[:, None, None], 0.0), frequency)
         known = _on_grid(item, used.astype(np.float64), frequency)
-        for number, into in enumerate(group_of[begin : begin + power.shape[1]]):
+        for number, into in enumerate(own[: power.shape[1]]):
             left[:, into] -= taken[:, number]
             share[:, into] -= known[:, number]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

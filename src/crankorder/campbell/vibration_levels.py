@@ -51,9 +51,9 @@ def vibration_levels(items: Sequence[xr.Dataset], *, speed_bin_rpm: float) -> xr
     made |= {f"{name}_ci95": np.full((*shape, 2), np.nan) for name in ("rms", "peak", "crest_factor")}
     made["degrees_of_freedom"] = np.zeros(shape)
     for column, group in enumerate(groups):
-        for rows, pieces in _alike(joined.square[:, group.pieces]):
-            at = np.ix_(rows, group.pieces[pieces])
-            _tell(made, rows, column, joined.square[at], joined.peak[at], group.passage[pieces])
+        for rows, pieces, passage in _alike(joined.square, group):
+            at = np.ix_(rows, pieces)
+            _tell(made, rows, column, joined.square[at], joined.peak[at], passage)
     _tell_sweeps(made, joined, groups)
     _allow_leaks(made, joined.keys)
     coords = level_coords(joined.keys, joined.reached_hz, joined.si)
@@ -135,22 +135,20 @@ def _passages(pieces: Ints, owner: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(fresh)]).astype(np.int64)
 
 
-def _alike(square: Floats) -> Iterator[tuple[Ints, Ints]]:
-    """Rows of ``square`` (level, piece) that are known in the same pieces, and these."""
-    patterns, which = np.unique(np.isfinite(square), axis=0, return_inverse=True)
+def _alike(square: Floats, group: _Group) -> Iterator[tuple[Ints, Ints, Ints]]:
+    """Rows of ``square`` (level, piece) that are known in the same pieces of ``group``, these, and their passages."""
+    patterns, which = np.unique(np.isfinite(square[:, group.pieces]), axis=0, return_inverse=True)
     for number, known in enumerate(patterns):
         if known.any():
-            yield np.flatnonzero(which.ravel() == number), np.flatnonzero(known)
+            yield np.flatnonzero(which.ravel() == number), group.pieces[known], group.passage[known]
 
 
 def _tell(made: dict[str, Floats], rows: Ints, column: int, square: Floats, peak: Floats, passage: Ints) -> None:
     """Write what the pieces (level, piece) of some levels and a group say into ``rows`` of ``made``."""
     mean = square.mean(axis=1)
-    rms = made["rms"][rows, column] = np.sqrt(mean)
     error, freedom = _error_of_mean(square, passage)
     share = np.divide(error, mean, out=np.zeros(len(mean)), where=mean > 0.0)
-    made["log_error"][rows, column], made["degrees_of_freedom"][rows, column] = share, freedom
-    made["rms_ci95"][rows, column] = rms_within(rms, share, freedom, chance=1.0 - CONFIDENCE)
+    _tell_rms(made, rows, column, np.sqrt(mean), share, freedom)
     known = np.isfinite(peak).all(axis=1)
     rows, square, peak = rows[known], square[known], peak[known]
     made["largest_peak"][rows, column] = peak.max(axis=1)
@@ -160,6 +158,14 @@ def _tell(made: dict[str, Floats], rows: Ints, column: int, square: Floats, peak
         error, freedom = _error_of_mean(values, passage)
         half = _t(freedom) * error
         made[f"{name}_ci95"][rows, column] = np.stack([np.maximum(0.0, middle - half), middle + half], axis=1)
+
+
+def _tell_rms(made: dict[str, Floats], rows: Ints, column: int, rms: Floats, error: Floats, freedom: Floats) -> None:
+    """Write ``rms`` with the ``error`` of the logarithm of its square, (level,) as its ``freedom``, into ``made``."""
+    values = {"rms": rms, "log_error": error, "degrees_of_freedom": freedom}
+    values["rms_ci95"] = rms_within(rms, error, freedom, chance=1.0 - CONFIDENCE)
+    for name, value in values.items():
+        made[name][rows, column] = value
 
 
 def _tell_sweeps(made: dict[str, Floats], joined: _Joined, groups: list[_Group]) -> None:
@@ -172,25 +178,21 @@ def _tell_sweeps(made: dict[str, Floats], joined: _Joined, groups: list[_Group])
     columns = [column for column, group in enumerate(groups) if group.is_swept]
     own = np.zeros((3, len(joined.keys), len(columns)))  # squares off lines, products of neighbours, freedom
     for place, column in enumerate(columns):
-        for rows, pieces in _alike(joined.square[:, groups[column].pieces]):
-            values = joined.square[np.ix_(rows, groups[column].pieces[pieces])]
-            own[:, rows, place] = _off_lines(values, groups[column].passage[pieces])
+        for rows, pieces, passage in _alike(joined.square, groups[column]):
+            own[:, rows, place] = _off_lines(joined.square[np.ix_(rows, pieces)], passage)
     is_upper, reach = np.array([key[3] == WITH_ENDS for key in joined.keys], dtype=np.bool_), NUMBERS.windows_beside
     for place, column in enumerate(columns):
         pooled = own[:, :, max(0, place - reach) : place + reach + 1].sum(axis=2)
         variance = np.maximum(_variance(*pooled), _variance(*own[:, :, place]))
         able = (pooled[2] > 0.0) & (made["rms"][:, column] > 0.0)
-        for alike, pieces in _alike(joined.square[:, groups[column].pieces]):
-            rows, passage = alike[able[alike]], groups[column].passage[pieces]
+        for alike, pieces, passage in _alike(joined.square, groups[column]):
+            rows = alike[able[alike]]
             rms = made["rms"][rows, column]
-            values = joined.square[np.ix_(rows, groups[column].pieces[pieces])] / rms[:, None] ** 2
+            values = joined.square[np.ix_(rows, pieces)] / rms[:, None] ** 2
             error, freedom = _between(values, passage, variance[rows], pooled[2, rows])
-            upper = is_upper[rows]
-            rms = np.where(upper, rms * np.sqrt(_louder_end(values, passage)), rms)
-            error = np.where(upper, 2.0 * error, error)
-            made["rms"][rows, column], made["log_error"][rows, column] = rms, error
-            made["degrees_of_freedom"][rows, column] = freedom
-            made["rms_ci95"][rows, column] = rms_within(rms, error, freedom, chance=1.0 - CONFIDENCE)
+            rms = np.where(is_upper[rows], rms * np.sqrt(_louder_end(values, passage)), rms)
+            error = np.where(is_upper[rows], 2.0 * error, error)
+            _tell_rms(made, rows, column, rms, error, freedom)
 
 
 def _lines(values: Floats, passage: Ints) -> Iterator[tuple[Floats, Floats, Floats]]:

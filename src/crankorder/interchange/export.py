@@ -53,25 +53,22 @@ def _long(dataset: xr.Dataset) -> list[Column]:
     """Every value of the variables over the dims of the largest, a row for each cell where an amplitude is known."""
     amplitudes = [name for name in map(str, dataset.data_vars) if name.split("_")[0] == "amplitude"]
     like = dataset[amplitudes[0]]
-    dims = like.dims
     flat = {
-        str(name): xr.broadcast(dataset[name], like)[0].transpose(*dims).values.ravel()
+        str(name): xr.broadcast(dataset[name], like)[0].transpose(*like.dims).values.ravel()
         for name, one in dataset.variables.items()
-        if set(one.dims) <= set(dims)
+        if set(one.dims) <= set(like.dims)
     }
     known = np.any([np.isfinite(flat[name]) for name in amplitudes], axis=0)
-    first = [*map(str, dims), *(name for name in ("unit", "quantity", "direction", "track_method") if name in flat)]
-    names = [*first, *amplitudes, *(name for name in flat if name not in (*first, *amplitudes))]
-    return [_column(name, dataset[name].attrs, flat[name][known]) for name in dict.fromkeys(names)]
+    about = ("unit", "quantity", "direction", "track_method")
+    names = dict.fromkeys([*map(str, like.dims), *about, *amplitudes, *flat])
+    return [_column(name, dataset[name].attrs, flat[name][known]) for name in names if name in flat]
 
 
 def _records(dataset: xr.Dataset) -> Iterator[Column]:
     for key, variable in dataset.variables.items():
-        if variable.dims == ("record",):
-            yield _column(str(key), variable.attrs, variable.values)
-        else:
-            for place, end in enumerate(("low", "high")):
-                yield _column(f"{key}_{end}", variable.attrs, variable.values[:, place])
+        ends = ("",) if variable.dims == ("record",) else ("_low", "_high")
+        for end, values in zip(ends, variable.values.reshape(-1, len(ends)).T, strict=True):
+            yield _column(f"{key}{end}", variable.attrs, values)
 
 
 def _column(name: str, attrs: Mapping[Any, Any], values: NDArray[Any]) -> Column:
@@ -114,9 +111,8 @@ def parquet_bytes(columns: list[Column]) -> bytes:
     fields, arrays = [], []
     for one in columns:
         is_text = one.values.dtype.kind in "OUS"
-        array = arrow.array([str(value) for value in one.values] if is_text else one.values)
-        arrays.append(array)
-        fields.append(arrow.field(one.name, array.type, metadata={"units": one.unit, "long_name": one.text}))
+        arrays.append(arrow.array(list(map(str, one.values)) if is_text else one.values))
+        fields.append(arrow.field(one.name, arrays[-1].type, metadata={"units": one.unit, "long_name": one.text}))
     sink = io.BytesIO()
     parquet.write_table(arrow.table(arrays, schema=arrow.schema(fields)), sink)
     return sink.getvalue()
@@ -253,10 +249,8 @@ def _channels(dataset: xr.Dataset) -> Iterator[_Channel]:
     for number, (name, text, direction) in enumerate(zip(names, units, directions, strict=True), start=1):
         unit = known_unit(text)
         kind, exponents = _BY_QUANTITY.get(unit.quantity if unit else "", (_GENERAL, (0, 0, 0)))
-        shown, factor, remark = text, 1.0, "NONE"
-        if unit is not None and exponents != (0, 0, 0):
-            shown, factor = base_unit(unit).name, unit.factor
-            remark = f"{unit.factor:.10g} x the values of the results, which are in {text}" if factor != 1.0 else "NONE"
+        shown, factor = (base_unit(unit).name, unit.factor) if unit and any(exponents) else (text, 1.0)
+        remark = f"{factor:.10g} x the values of the results, which are in {text}" if factor != 1.0 else "NONE"
         ordinate = _Axis(kind, exponents, "Amplitude", shown)
         yield _Channel(number, name, _DIRECTIONS.get(str(direction).upper(), 0), ordinate, factor, remark)
 
@@ -292,19 +286,18 @@ _UNITS = _block(
 
 
 def _dataset(one: _Function, binary: bool) -> bytes:
-    channel = one.channel
-    even, least, step = _even_axis(one.x)
-    parts = [one.x] if not even else []
-    parts += [one.y.real, one.y.imag] if np.iscomplexobj(one.y) else [one.y]
+    channel, (even, least, step) = one.channel, _even_axis(one.x)
+    is_complex = np.iscomplexobj(one.y)
+    kind = (5 if binary else 6) if is_complex else (2 if binary else 4)
+    parts = [*([] if even else [one.x]), *([one.y.real, one.y.imag] if is_complex else [one.y])]
     values = np.stack(parts, axis=-1).ravel()
-    kind = (5 if binary else 6) if np.iscomplexobj(one.y) else (2 if binary else 4)
-    records = [_text(text, 80) for text in one.ids]
-    records += [
+    records = [
+        *(_text(text, 80) for text in one.ids),
         f"{one.kind:5d}{0:10d}{1:5d}{0:10d} {_text(channel.name, 10)}{channel.node:10d}{channel.direction:4d} "
         f"{'NONE':10}{0:10d}{0:4d}",
         f"{kind:10d}{len(one.x):10d}{int(even):10d}{least:13.5E}{step:13.5E}{one.z:13.5E}",
+        *map(_axis_record, (one.abscissa, channel.ordinate, _NO_AXIS, one.z_axis)),
     ]
-    records += [_axis_record(axis) for axis in (one.abscissa, channel.ordinate, _NO_AXIS, one.z_axis)]
     if not binary:
         return _block(f"{58:6d}".ljust(80), [*records, *_numbers(values, parts, even)])
     data = values.astype("<f4").tobytes()
@@ -321,9 +314,7 @@ def _axis_record(axis: _Axis) -> str:
 def _numbers(values: Floats, parts: list[NDArray[Any]], even: bool) -> Iterator[str]:
     """Lines of ``values`` in the columns of record 12: E13.5 for an uneven abscissa, E20.12 for the rest."""
     in_line = 4 if even or len(parts) == 2 else 3
-    of_part = ["{:20.12E}".format] * len(parts)
-    if not even:
-        of_part[0] = "{:13.5E}".format
+    of_part = ["{:13.5E}".format] * (not even) + ["{:20.12E}".format] * (len(parts) - (not even))
     for first in range(0, len(values), in_line):
         line = values[first : first + in_line]
         yield "".join(of_part[(first + place) % len(parts)](value) for place, value in enumerate(line))

@@ -14,7 +14,7 @@ import xarray as xr
 from crankorder.channel_units import by_channel, unit_text
 from crankorder.errors import InputError, RequestError, SchemaError
 from crankorder.findings import SCHEMA_VERSION, Findings
-from crankorder.plot.drawing import ORDER, Panel
+from crankorder.plot.drawing import ORDER, Panel, decade_text, log_steps
 from crankorder.plot.labels import Key, draw_keys
 from crankorder.plot.palette import FAINT, GRID, INK, LARGE, NORMAL, SMALL, WHITE
 from crankorder.plot.reading import scaling_text
@@ -32,9 +32,9 @@ _NOUNS = {
     "envelope_map": "an EnvelopeMap, as crankorder.envelope makes it",
 }
 _TREE: Any = getattr(xr, "DataTree", ())  # older xarray has none
-_RECORDS = ("channels", "orders", "modes", "crossings", "bearings", "lines", "quality")
-_NOTHING: Mapping[str, object] = {key: [] for key in _RECORDS} | {
-    "schema_version": SCHEMA_VERSION, "test": "", "unexplained_energy_fraction": None, "balance": None,
+_NOTHING: Mapping[str, object] = {
+    "schema_version": SCHEMA_VERSION, "test": "", "unexplained_energy_fraction": None, "balance": None, "channels": [],
+    "orders": [], "modes": [], "crossings": [], "bearings": [], "lines": [], "quality": [],
 }  # fmt: skip
 _LONGEST_NAME = 60  # characters of a channel in a title
 _TIER_PT = 17.0  # height of a row of labels above the axes
@@ -77,12 +77,11 @@ def channel_of(given: object, noun: str, picture: str, channel: str | None) -> t
     """
     dataset = dataset_of(given, noun, picture)
     names = [str(name) for name in dataset["channel"].values]
-    if channel is None and names:
-        return dataset, 0
-    if channel is None or str(channel) not in names:
+    wanted = next(iter(names), "") if channel is None else str(channel)
+    if wanted not in names:
         there = ", ".join(names) or "none"
         raise RequestError("no such channel", file=f"crankorder.plot.{picture}", found=channel or "", allowed=there)
-    return dataset, names.index(str(channel))
+    return dataset, names.index(wanted)
 
 
 def findings_of(findings: object, picture: str) -> Findings:
@@ -171,11 +170,9 @@ def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None
     """Set the limits of ``axes``: first and last of ``x`` (points,), rising, and ``y``, logarithmic where ``log_y``.
 
     ``x`` and ``y`` are in the units of the axes; ``y`` is None where there are no data. An axis of orders has ticks at
-    whole numbers only, where it spans some.
+    whole numbers only, where it spans some; a logarithmic one at decades, and at 2 and 5 between where these are few.
     """
-    from matplotlib.ticker import MaxNLocator
-
-    from crankorder.plot.painter import log_axis
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     if len(x) and x[-1] > x[0]:
         axes.set_xlim(x[0], x[-1])
@@ -184,7 +181,10 @@ def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None
     if y is None:
         axes.set(ylim=(0.0, 1.0), yticks=[])
     elif log_y:
-        log_axis(axes, *y, most_ticks=9)
+        axes.set(yscale="log", ylim=y)
+        axes.yaxis.set_major_locator(LogLocator(subs=log_steps(*y), numticks=9))
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: decade_text(value)))
     else:
         axes.set_ylim(*y)
 

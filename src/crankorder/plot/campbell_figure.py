@@ -158,10 +158,10 @@ def level_limits(
     if not len(values):
         return 0.0, range_db
     twentieth = np.partition(values, len(values) // 20)[len(values) // 20]
-    ends = 5 * np.array([np.floor(level_of(twentieth, reference) / 5), np.ceil(level_of(values.max(), reference) / 5)])
-    low = max(float(ends[0]), float(ends[1]) - range_db)
+    quiet = 5 * float(np.floor(level_of(twentieth, reference) / 5))
+    top = 5 * float(np.ceil(level_of(values.max(), reference) / 5))
     least_db = min(_LEAST_RANGE_DB, range_db) if narrow else _LEAST_RANGE_DB
-    return min(low, float(ends[1]) - least_db), float(ends[1])
+    return min(max(quiet, top - range_db), top - least_db), top
 
 
 _LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches
@@ -313,8 +313,7 @@ def draw_findings(panel: Panel, levels: LevelMap, findings: Findings, channel: s
     _draw_modes(panel, levels, modes, channel)
     circles = not levels.timeless and _draw_crossings(panel, levels, findings, channel)
     low, high = panel.y
-    for start, end in gaps_between(levels.cells):
-        start, end = max(start, low), min(end, high)
+    for start, end in np.clip(gaps_between(levels.cells), low, high).reshape(-1, 2).tolist():
         if (end - start) * panel.box[3] > 0.3 * (high - low):
             panel.note("not measured", at_in=panel.height_at((start + end) / 2))
     if not len(levels.speed):
@@ -338,8 +337,8 @@ def orders_of(findings: Findings, channel: str, *, limit: int) -> list[OrderFind
 
     The half orders of a four-stroke cycle are what sets it apart: strong whole ones must not hide them.
     """
-    records = [record for record in findings.orders if record.channel == channel]
-    records.sort(key=lambda record: -record.amplitude)
+    own = (record for record in findings.orders if record.channel == channel)
+    records = sorted(own, key=lambda record: -record.amplitude)
     half = [record for record in records[limit:] if _is_of_cycle(record)]
     return sorted([*records[:limit], *half[:limit]], key=lambda record: record.order)
 
@@ -368,8 +367,7 @@ def _order_lines(panel: Panel, levels: LevelMap, findings: Findings, channel: st
         orders = {1.0, *(map(float, np.arange(step, highest, step)) if step else ())}
         return [_OrderLine(order, order_text(order)) for order in sorted(orders)]
     records = [] if levels.timeless else orders_of(findings, channel, limit=limit)
-    loudest = max((record.amplitude for record in records), default=0.0)
-    lines = []
+    loudest, lines = max((record.amplitude for record in records), default=0.0), []
     for record in records:
         seen, color = known(record.speed_range_rpm) or panel.y, HALF_ORDER if _is_of_cycle(record) else INK
         bold = record.amplitude == loudest > 0
@@ -416,12 +414,11 @@ def _label_edges(
     (f_low, f_high), (low, high) = panel.x, panel.y
     top, side = [], []
     for number, line in enumerate(lines):
-        place = float(levels.of_order(line.order, high))
+        place, rpm = float(levels.of_order(line.order, high)), 60 * f_high / line.order
         if f_low <= place <= f_high:
             top.append(EdgeLabel(float(panel.at(place, high)[0, 0]), line.text, line.color, number, line.bold))
-        elif not levels.by_order and low < 60 * f_high / line.order < high and len(levels.speed) > 1:
-            at = panel.height_at(60 * f_high / line.order)
-            side.append(EdgeLabel(at, line.text, line.color, number, line.bold))
+        elif not levels.by_order and low < rpm < high and len(levels.speed) > 1:
+            side.append(EdgeLabel(panel.height_at(rpm), line.text, line.color, number, line.bold))
     marks = [(float(levels.of_hertz(hertz, high)), text, color) for hertz, text, color in mode_marks(modes)]
     text_heights = label_top(drawing, panel.box, [fitted(top, width), fitted(edge_labels(panel, marks), width)])
     avoid = [] if levels.timeless else _draw_strip(panel, strip)
@@ -461,16 +458,17 @@ def _draw_strip(panel: Panel, strip: list[_StripBand]) -> list[EdgeLabel]:
     """Draw the ``strip`` right of ``panel``; the labels of the speeds to avoid, for its right edge."""
     (low, high), x = panel.y, panel.box[0] + panel.box[2] + _AT_IN
     labels = []
-    for number, (color, name, start, end, rpm) in enumerate(strip):
-        start, end = max(start, low), min(end, high)
-        if end <= start:
+    for number, (color, name, *rpms, named_rpm) in enumerate(strip):
+        ends = np.clip(rpms, low, high)
+        if ends[1] <= ends[0]:
             continue
-        bottom, top = panel.height_at(start), panel.height_at(end)
+        bottom, top = map(panel.height_at, ends)
         spare = max(_LEAST_IN - (top - bottom), 0.0) / 2
-        points, values = np.array([[x, bottom - spare], [x, top + spare]]), (np.full(2, np.nan), np.array([start, end]))
+        points, values = np.array([[x, bottom - spare], [x, top + spare]]), (np.full(2, np.nan), ends)
         panel.drawing.add(Stroke(points, color, _WIDTH_PT, square=True, name=f"{name}-{number}", values=values))
-        if rpm is not None:
-            labels.append(EdgeLabel(panel.height_at(min(max(rpm, low), high)), f"{rpm:.0f}", AVOID, 1000 + number))
+        if named_rpm is not None:
+            at = panel.height_at(float(np.clip(named_rpm, low, high)))
+            labels.append(EdgeLabel(at, f"{named_rpm:.0f}", AVOID, 1000 + number))
     return labels[:_LABELS]
 
 

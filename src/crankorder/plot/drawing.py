@@ -16,7 +16,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.findings import Findings
 from crankorder.plot.palette import CAP_HEIGHT, FAINT, GRID, INK, LARGE, LAYOUT_DPI, NORMAL, shortened, text_width_in
 from crankorder.quantities import Floats, Ints
 
@@ -40,8 +39,7 @@ _TICK_IN, _PAD_IN = 3 / 72, 0.05
 _LINE_IN = 0.165
 _STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-FEW_DECADES = 2.0
-"""A logarithmic axis of less has ticks at 2 and 5 too."""
+_FEW_DECADES = 2.0  # a logarithmic axis of less has ticks at 2 and 5 too
 
 
 @dataclass(frozen=True)
@@ -159,18 +157,11 @@ class Drawing:
 
 def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> None:
     """Bold ``title`` and a ``sentence`` under it, from ``left_in`` inches at the top of ``drawing``, cut to fit."""
-    room = drawing.width_in - left_in - 0.2
-    heading = shortened(title, LARGE, room, bold=True)
-    drawing.add(Words(left_in, drawing.height_in - 0.34, heading, LARGE, bold=True))
+    room, top = drawing.width_in - left_in - 0.2, drawing.height_in
+    drawing.add(Words(left_in, top - 0.34, shortened(title, LARGE, room, bold=True), LARGE, bold=True))
     if sentence:
         subtitle = shortened(sentence, NORMAL, room)
-        drawing.add(Words(left_in, drawing.height_in - 0.56, subtitle, NORMAL, FAINT, name="subtitle"))
-
-
-def quality_text(findings: Findings) -> str:
-    """Number of suspect or bad quality flags in the ``findings``, in words; empty without any."""
-    doubtful = sum(flag.severity in ("suspect", "bad") for flag in findings.quality)
-    return f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report" if doubtful else ""
+        drawing.add(Words(left_in, top - 0.56, subtitle, NORMAL, FAINT, name="subtitle"))
 
 
 def whole(places: Floats) -> Ints:
@@ -263,17 +254,16 @@ class Panel:
 
     def note(self, text: str, *, at_in: float | None = None) -> None:
         """``text`` on a white ground in the middle of the panel, or at the height ``at_in`` inches in the drawing."""
-        left, bottom, width, height = self.box
-        y = bottom + height / 2 if at_in is None else at_in
-        x, half = left + width / 2, text_width_in(text, NORMAL) / 2 + 0.05
+        (left, bottom, width, height), half = self.box, text_width_in(text, NORMAL) / 2 + 0.05
+        x, y = left + width / 2, bottom + height / 2 if at_in is None else at_in
         self.drawing.add(Stroke(np.array([[x - half, y], [x + half, y]]), "#ffffff", 14.0))
         self.drawing.add(Words(x, y, text, NORMAL, FAINT, along="centre", across="centre"))
 
     def frame(self, *, whole: bool = False) -> None:
         """Left and bottom edges, or all four where ``whole``."""
         left, bottom, width, height = self.box
-        corners = [(left, bottom + height), (left, bottom), (left + width, bottom)]
-        self._edge(*corners, *([(left + width, bottom + height), corners[0]] if whole else []))
+        right, top = left + width, bottom + height
+        self._edge((left, top), (left, bottom), (right, bottom), *([(right, top), (left, top)] if whole else []))
 
     def _edge(self, *corners: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
         self.drawing.add(Stroke(np.array(corners), color, width, square=True))
@@ -330,22 +320,18 @@ class Panel:
                 self._edge((left, y), (left + width, y), color=GRID, width=0.6)
             self._edge((edge, y), (edge + out * _TICK_IN, y))
             x = edge + out * (_TICK_IN + _PAD_IN)
-            self.drawing.add(
-                Words(x, y, text, TICK_SIZE, along="left" if right else "right", across="centre", name="tick")
-            )
+            words = Words(x, y, text, TICK_SIZE, along="left" if right else "right", across="centre", name="tick")
+            self.drawing.add(words)
         widest = max((text_width_in(text, TICK_SIZE) for text in texts), default=0.0)
         gap = at_in if at_in is not None else _TICK_IN + 2 * _PAD_IN + widest + 0.03
-        lines = label.split("\n") if label else []
-        for number, line in enumerate(lines):
+        for number, line in enumerate(lines := label.split("\n") if label else []):
             x = edge + gap + 0.12 + number * _LINE_IN if right else edge - gap - (len(lines) - 1 - number) * _LINE_IN
             self.drawing.add(Words(x, bottom + height / 2, line, NORMAL, along="centre", upward=True, name="y label"))
 
 
 def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> Floats:
     """Round places (ticks,) from ``low`` to ``high``, in their unit, at most ``most`` + 1; integers where ``whole``."""
-    raw = max((high - low) / max(most, 1), 1e-300)
-    if whole:
-        raw = max(raw, 1.0)
+    raw = max((high - low) / max(most, 1), 1.0 if whole else 1e-300)
     size = 10.0 ** math.floor(math.log10(raw))
     step = next(s for s in _STEPS if s * size >= raw * (1 - 1e-9) and not (whole and (s * size) % 1)) * size
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
@@ -371,10 +357,13 @@ def log_ticks(low: float, high: float, *, most: int) -> Floats:
     """
     decades = np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     stride = max(1, math.ceil(math.log10(high / low) / most))
-    subs = (1.0, 2.0, 5.0) if math.log10(high / low) < FEW_DECADES else (1.0,)
-    kept = decades[decades % stride == 0]
-    places = np.sort(np.concatenate([sub * 10.0**kept for sub in subs]))
-    return np.asarray(places[(places >= low * (1 - 1e-9)) & (places <= high * (1 + 1e-9))])
+    places = np.outer(10.0 ** decades[decades % stride == 0], log_steps(low, high)).ravel()
+    return places[(places >= low * (1 - 1e-9)) & (places <= high * (1 + 1e-9))]
+
+
+def log_steps(low: float, high: float) -> tuple[float, ...]:
+    """Multiples of a decade that have ticks on a logarithmic axis from ``low`` to ``high``, above 0 and in one unit."""
+    return (1.0, 2.0, 5.0) if math.log10(high / low) < _FEW_DECADES else (1.0,)
 
 
 def log_limits(values: Floats, decades: float, *, room: float) -> tuple[float, float] | None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crankorder.findings import Findings, ModeFinding
-from crankorder.plot.drawing import SOLID, Box, Dashes, Drawing, Panel, Rings, Stroke, Words, quality_text, title_lines
+from crankorder.plot.drawing import SOLID, Box, Dashes, Drawing, Panel, Rings, Stroke, Words, title_lines
 from crankorder.plot.palette import (
     CAP_HEIGHT,
     DOUBT_DASHES,
@@ -59,15 +59,10 @@ def fitted(labels: Sequence[EdgeLabel], length_in: float) -> list[EdgeLabel]:
     First the unit is left out of the texts, then labels one by one where they stand closest together.
     """
     kept = sorted(labels, key=lambda label: label.target_in)
-
-    def needed() -> float:
-        return sum(label_width_in(label) for label in kept)
-
-    if needed() > length_in:
+    if sum(map(label_width_in, kept)) > length_in:
         kept = [replace(label, text=label.text.removesuffix(" Hz")) for label in kept]
-    while len(kept) > 1 and needed() > length_in:
-        closest = int(np.argmin(np.diff([label.target_in for label in kept])))
-        del kept[closest + 1]
+    while len(kept) > 1 and sum(map(label_width_in, kept)) > length_in:
+        del kept[np.argmin(np.diff([label.target_in for label in kept])) + 1]
     return kept
 
 
@@ -89,24 +84,21 @@ def label_top(drawing: Drawing, box_in: Box, tiers: Sequence[Sequence[EdgeLabel]
     """
     left, bottom, width, height = box_in
     level, lines = bottom + height, []
-    waiting = [[label for label in tier if label.text] for tier in tiers]
-    at = {(row, number): label.target_in for row, tier in enumerate(waiting) for number, label in enumerate(tier)}
-    for row, tier in enumerate(waiting):
-        if not tier:
-            continue
-        through = sorted((key for key in at if key[0] >= row), key=lambda key: at[key])
-        widths = [label_width_in(waiting[key[0]][key[1]]) if key[0] == row else GAP_IN for key in through]
-        places = spread([at[key] for key in through], widths, low=left - 0.15, high=left + width + 0.15)
+    waiting = [(row, label.target_in, label) for row, tier in enumerate(tiers) for label in tier if label.text]
+    for row in sorted({row for row, *_ in waiting}):
+        waiting = sorted((each for each in waiting if each[0] >= row), key=lambda each: each[1])
+        widths = [label_width_in(label) if tier == row else GAP_IN for tier, _, label in waiting]
+        targets = [target for _, target, _ in waiting]
+        places = spread(targets, widths, low=left - 0.15, high=left + width + 0.15).tolist()
         fan, text_at = level + 0.11, level + 0.11 + LINE_HEIGHT_IN
-        for key, place in zip(through, places, strict=True):
-            label = waiting[key[0]][key[1]]
-            points = [(at[key], level), (at[key], level + 0.03), (float(place), fan)]
-            if key[0] == row:
-                drawing.add(_words(label, float(place), fan + 0.025, along="centre"))
+        for (tier, target, label), place in zip(waiting, places, strict=True):
+            points = [(target, level), (target, level + 0.03), (place, fan)]
+            if tier == row:
+                drawing.add(_words(label, place, fan + 0.025, along="centre"))
             else:
-                points.append((float(place), text_at))
+                points.append((place, text_at))
             _leader(drawing, points, label.color)
-            at[key] = float(place)
+        waiting = [(tier, place, label) for (tier, _, label), place in zip(waiting, places, strict=True)]
         level = text_at
         lines.append(fan + 0.025)
     return [*lines, level]
@@ -119,14 +111,12 @@ def label_right(drawing: Drawing, box_in: Box, labels: Sequence[EdgeLabel]) -> N
     targets in inches from the bottom of the drawing.
     """
     left, bottom, width, height = box_in
-    ordered = sorted(labels, key=lambda label: label.target_in)
-    heights = [LINE_HEIGHT_IN] * len(ordered)
-    places = spread([label.target_in for label in ordered], heights, low=bottom - 0.05, high=bottom + height + 0.05)
-    edge = left + width
-    for label, place in zip(ordered, places, strict=True):
-        bend = (edge + 0.03, label.target_in)
-        _leader(drawing, [(edge, label.target_in), bend, (edge + 0.12, float(place))], label.color)
-        drawing.add(_words(label, edge + 0.15, float(place), across="centre"))
+    ordered, edge = sorted(labels, key=lambda label: label.target_in), left + width
+    targets, heights = [label.target_in for label in ordered], [LINE_HEIGHT_IN] * len(ordered)
+    places = spread(targets, heights, low=bottom - 0.05, high=bottom + height + 0.05).tolist()
+    for label, target, place in zip(ordered, targets, places, strict=True):
+        _leader(drawing, [(edge, target), (edge + 0.03, target), (edge + 0.12, place)], label.color)
+        drawing.add(_words(label, edge + 0.15, place, across="centre"))
 
 
 def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> Floats:
@@ -161,7 +151,8 @@ def head_of_test(
     """
     name = shortened(drawable(findings.test, longest), LARGE, 0.62 * drawing.width_in, bold=True)
     title_lines(drawing, left_in, f"{name} · {what}", sentence)
-    if doubts := quality_text(findings):
+    if doubtful := sum(flag.severity in ("suspect", "bad") for flag in findings.quality):
+        doubts = f"{doubtful} quality remark{'s' * (doubtful > 1)}: see the report"
         drawing.add(Words(drawing.width_in - 0.2, 0.14, doubts, SMALL + 0.5, MAINS, along="right"))
 
 
@@ -249,10 +240,7 @@ def mode_marks(modes: list[ModeFinding]) -> list[Mark]:
 def mode_keys(modes: list[ModeFinding]) -> list[Key]:
     """Legend of the dashed and dotted lines of ``modes``: natural frequencies, doubts, tones."""
     kinds = {mode_style(mode)[0] for mode in modes}
-    keys = [Key("natural frequency", MODE, MODE_DASHES)] if "mode" in kinds else []
-    keys += [Key("not decided", MODE, DOUBT_DASHES)] if "doubt" in kinds else []
-    of_mains = {mode.kinds == ("mains",) for mode in modes if is_tone(mode)}
-    if of_mains:
-        label = "mains or fixed tone" if len(of_mains) > 1 else "mains" if True in of_mains else "fixed tone"
-        keys.append(Key(label, MAINS, TONE_DASHES))
-    return keys
+    tones = {"mains" if mode.kinds == ("mains",) else "fixed tone" for mode in modes if is_tone(mode)}
+    keys = [Key("natural frequency", MODE, MODE_DASHES)] * ("mode" in kinds)
+    keys += [Key("not decided", MODE, DOUBT_DASHES)] * ("doubt" in kinds)
+    return keys + [Key(" or ".join(sorted(tones, reverse=True)), MAINS, TONE_DASHES)] * bool(tones)

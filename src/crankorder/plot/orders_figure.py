@@ -21,7 +21,7 @@ from crankorder.plot.campbell_figure import gaps_before, speed_cells
 from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_column, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
-from crankorder.plot.reading import names_of_orders, nominal_order
+from crankorder.plot.reading import names_of_orders, nominal_order, speed_text
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ReportSettings
 
@@ -89,14 +89,13 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
     where they have them, else the standard error; ``findings`` are those of the same test, ``settings`` those of the
     report.
     """
-    channels = [str(name) for name in tracks["channel"].values]
+    channels, block = tracks["channel"].values.astype(str), settings.height_in - _BOTTOM - _TOP
     columns = min(len(channels), _COLUMNS)
     rows = -(-len(channels) // columns)
-    block = settings.height_in - _BOTTOM - _TOP
     drawing = Drawing(settings.width_in, _TOP + rows * block + (rows - 1) * (_BOTTOM + 0.3) + _BOTTOM)
+    width = (settings.width_in - _LEFT - columns * _GUTTER + 0.25) / columns
     shown = shown_tracks(tracks, limit=settings.max_labelled_orders)
     for number, channel in enumerate(channels):
-        width = (settings.width_in - _LEFT - columns * _GUTTER + 0.25) / columns
         left = _LEFT + (number % columns) * (width + _GUTTER)
         bottom = _BOTTOM + (rows - 1 - number // columns) * (block + _BOTTOM + 0.3)
         _draw_channel(drawing, shown, number, (left, bottom, width, block))
@@ -145,10 +144,9 @@ def shown_tracks(tracks: xr.Dataset, *, limit: int, among: Sequence[int] | None 
 def _subtitle(n_orders: int, shown: int, *, clear: bool) -> str:
     if not clear:
         return "No order stands clear of the noise, or the recordings hold too few revolutions to tell."
-    many = f" of the {shown} strongest of {n_orders} orders" if shown < n_orders else ""
     light = f", {_COLOURED} of them in colour," if shown > _ALL_COLOURED else ""
-    if light and not many:
-        many = f" of {shown} orders"
+    many = f" of {shown} orders" if light else ""
+    many = f" of the {shown} strongest of {n_orders} orders" if shown < n_orders else many
     return f"Peak amplitude with 95 % band{many}{light} where it stands clear of the noise; orders at the right."
 
 
@@ -177,15 +175,16 @@ def _draw_channel(drawing: Drawing, shown: ShownTracks, channel: int, box: Box) 
     if shown.reference not in _PHASE_OF:
         lower.note("no phase reference")
         return
-    for number in np.argsort(-shown.rank):
-        if shown.coloured[number]:
-            _draw_phase(lower, shown, channel, int(number))
+    for number in np.argsort(-shown.rank).tolist():
+        if shown.coloured[number] and shown.read[channel, number].any():
+            _draw_phase(lower, shown, channel, number)
 
 
 def draw_tracks(panel: Panel, shown: ShownTracks, channel: int) -> None:
     """Draw in ``panel`` the amplitudes of ``shown`` tracks in the channel with index ``channel``, bands and names."""
-    for number in np.argsort(-shown.rank):  # the strongest lies on top
-        _draw_line(panel, shown, channel, int(number))
+    for number in np.argsort(-shown.rank).tolist():  # the strongest lies on top
+        if shown.read[channel, number].any():
+            _draw_line(panel, shown, channel, number)
     _label_lines(panel, shown, channel)
 
 
@@ -208,12 +207,9 @@ def _broken(speed: Floats, values: Floats, *, wrap: float = np.inf) -> NDArray[n
 
 
 def _draw_line(panel: Panel, shown: ShownTracks, channel: int, number: int) -> None:
-    read = shown.read[channel, number]
-    if not read.any():
-        return
-    speed, amplitude = shown.speed[read], shown.amplitude[channel, number][read]
-    coloured, color = shown.coloured[number], shown.color(number)
-    low, high = shown.low[channel, number][read], shown.high[channel, number][read]
+    read, coloured, color = shown.read[channel, number], shown.coloured[number], shown.color(number)
+    amplitude, low, high = (part[channel, number, read] for part in (shown.amplitude, shown.low, shown.high))
+    speed = shown.speed[read]
     if len(speed) == 1:
         panel.curve(np.repeat(speed, 2), np.array([low[0], high[0]]), color=color, width=1.0)
     breaks = _broken(speed, amplitude)
@@ -227,10 +223,8 @@ def _draw_line(panel: Panel, shown: ShownTracks, channel: int, number: int) -> N
 
 def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> None:
     """Phase against speed of one order, where its line is above the noise; jumps are not joined."""
-    read = shown.read[channel, number]
-    if not read.any():
-        return
-    phase, speed, color = shown.phase[channel, number][read], shown.speed[read], shown.color(number)
+    read, color = shown.read[channel, number], shown.color(number)
+    phase, speed = shown.phase[channel, number, read], shown.speed[read]
     locked = 2 * nominal_order(float(shown.orders[number])) % 1 == 0  # the phase of a slipping order just turns
     breaks = _broken(speed, phase, wrap=_JOINED_DEG if locked else 0.0)
     along, line = (np.insert(values, breaks, np.nan) for values in (speed, phase))
@@ -239,24 +233,18 @@ def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> 
 
 
 def _label_lines(panel: Panel, shown: ShownTracks, channel: int) -> None:
-    low, high = panel.y
-    labels = []
-    for number, text in enumerate(shown.texts):
-        amplitude = shown.amplitude[channel, number]
-        known = amplitude[np.isfinite(amplitude) & (shown.speed >= panel.x[0]) & (shown.speed <= panel.x[1])]
-        if not len(known):
-            continue
-        height = panel.height_at(float(np.clip(known[-1], low, high)))
-        color = shown.color(number) if shown.coloured[number] else FAINT
-        labels.append(EdgeLabel(height, text, color, number))
+    (left, bottom, width, height), labels = panel.box, []
+    inside = (shown.speed >= panel.x[0]) & (shown.speed <= panel.x[1])
+    for number, (text, amplitude) in enumerate(zip(shown.texts, shown.amplitude[channel], strict=True)):
+        if len(known := amplitude[np.isfinite(amplitude) & inside]):
+            color = shown.color(number) if shown.coloured[number] else FAINT
+            labels.append(EdgeLabel(panel.height_at(float(np.clip(known[-1], *panel.y))), text, color, number))
     label_right(panel.drawing, panel.box, labels)
-    if not labels:
-        middle = panel.box[1] + panel.box[3] / 2
-        panel.note("no order stands clear", at_in=middle + 0.09)
-        panel.note("of the noise", at_in=middle - 0.09)
-    else:
-        left, bottom, width, height = panel.box
+    if labels:
         panel.drawing.add(Words(left + width + 0.1, bottom + height + 0.09, "order", SMALL, FAINT))
+    else:
+        panel.note("no order stands clear", at_in=bottom + height / 2 + 0.09)
+        panel.note("of the noise", at_in=bottom + height / 2 - 0.09)
 
 
 def orders(
@@ -320,26 +308,24 @@ def _track_numbers(every: Floats, asked: Sequence[float]) -> list[int]:
 
 def _remark(shown: ShownTracks, there: int) -> str:
     """Text beside the title: a single speed, and how many of the orders ``there`` are drawn; 0 of those asked for."""
-    many = f"{len(shown.orders)} strongest of {there} orders, " if len(shown.orders) < there else ""
-    at = ""
-    if len(shown.speed) == 1:
-        at = f"{shown.speed[0]:.0f} rpm, " if np.isfinite(shown.speed[0]) else "speed not known, "
-    return f"{at}{many}with 95 % intervals"
+    many = [f"{len(shown.orders)} strongest of {there} orders"] if len(shown.orders) < there else []
+    at = [speed_text(shown.speed[0])] if len(shown.speed) == 1 else []
+    return ", ".join([*at, *many, "with 95 % intervals"])
 
 
 def _draw_points(panel: Panel, shown: ShownTracks) -> None:
     """Points with their intervals against the order, each named above."""
-    marks = []
-    for number, order in enumerate(shown.orders.tolist()):
-        amplitude, low, high = (values[0, number, :1] for values in (shown.amplitude, shown.low, shown.high))
-        if not np.isfinite(amplitude).any():
-            continue
-        x = np.array([order])
+    columns = (
+        shown.orders.tolist(),
+        shown.texts,
+        *(part[0, :, 0] for part in (shown.amplitude, shown.low, shown.high)),
+    )
+    points = [point for point in zip(*columns, strict=True) if np.isfinite(point[2])]
+    for order, _, amplitude, low, high in points:
         panel.upright(order, color=LINES[1], width=0.7, alpha=0.3)
-        panel.curve(np.repeat(x, 2), np.concatenate([low, high]), color=LINES[1], width=1.2, name="interval")
-        panel.rings(x, amplitude, color=LINES[1], radius=2.0)
-        marks.append((order, shown.texts[number], LINES[1]))
-    label_column(panel, marks, "order")
+        panel.curve(np.full(2, order), np.array([low, high]), color=LINES[1], width=1.2, name="interval")
+        panel.rings(np.array([order]), np.array([amplitude]), color=LINES[1], radius=2.0)
+    label_column(panel, [(order, text, LINES[1]) for order, text, *_ in points], "order")
 
 
 _SPEED_TOP, _SPEED_RIGHT, _SPEED_HEIGHT = 0.84, 1.6, 3.8  # inches
@@ -373,10 +359,10 @@ def shown_recordings(shaft: xr.Dataset) -> list[int]:
 
 def _spread(trace: Floats) -> float:
     known = trace[np.isfinite(trace)]
-    if len(known) < 2:
-        return 1.0
-    means = np.array([piece.mean() for piece in np.array_split(known, min(_SMOOTH, len(known)))])
-    return float(means.max() / max(float(means.min()), 1e-3))
+    means = (
+        [float(piece.mean()) for piece in np.array_split(known, min(_SMOOTH, len(known)))] if len(known) > 1 else [1.0]
+    )
+    return max(means) / max(min(means), 1e-3)
 
 
 def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
@@ -404,13 +390,13 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
     named = np.arange(len(numbers)) if few else np.linspace(0, len(numbers) - 1, _COLOURED).round()
     colors = {int(place): LINES[rank] for rank, place in enumerate(named[:_COLOURED])}
     for place, number in enumerate(numbers):
-        color = colors.get(place, LIGHT)
-        draw_speed(panel, time[number], speed[number], (low[number], high[number]), color, name=f"speed-{number}")
-        known = speed[number][np.isfinite(speed[number])]
-        name = drawable(shaft["recording"].values[number], settings.max_name_characters)
-        height = panel.height_at(float(known[-1]))
+        swing, color = (low[number], high[number]), colors.get(place, LIGHT)
+        draw_speed(panel, time[number], speed[number], swing, color, name=f"speed-{number}")
         if few or place in colors:
-            labels.append(EdgeLabel(height, shortened(name, SMALL, _SPEED_RIGHT - 0.3), colors.get(place, FAINT)))
+            last = float(speed[number][np.isfinite(speed[number])][-1])
+            name = drawable(shaft["recording"].values[number], settings.max_name_characters)
+            text = shortened(name, SMALL, _SPEED_RIGHT - 0.3)
+            labels.append(EdgeLabel(panel.height_at(last), text, colors.get(place, FAINT)))
     label_right(drawing, box, labels)
     subtitle = _speed_subtitle(shaft, numbers)
     head_of_test(drawing, _LEFT, findings, "speed against time", subtitle, longest=settings.max_name_characters)
@@ -440,9 +426,10 @@ def _ends(low: Floats, high: Floats, *, from_zero: bool) -> tuple[float, float]:
 def _speed_subtitle(shaft: xr.Dataset, numbers: list[int]) -> str:
     speed = shaft["speed_trace"].transpose("recording", "knot").values[numbers]
     rest = shaft.sizes["recording"] - len(numbers)
-    keep = "keep their speed" if rest > 1 else "keeps its speed"
-    lack = "have no encoder" if rest > 1 else "has no encoder"
-    more = f" {rest} other{'s' * (rest > 1)} {keep if changing_recordings(shaft) else lack}." if rest else ""
+    what = (
+        ("keeps its speed", "keep their speed") if changing_recordings(shaft) else ("has no encoder", "have no encoder")
+    )
+    more = f" {rest} other{'s' * (rest > 1)} {what[rest > 1]}." if rest else ""
     return (
         f"{np.nanmin(speed, initial=np.inf):.0f} to {np.nanmax(speed, initial=0.0):.0f} rpm; "
         f"the band: lowest to highest within each piece of time, with the noise of the encoder's edges.{more}"
@@ -476,8 +463,7 @@ def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     many = len(values) > 2 * _PIECES
     when, mean, low, high = _pieces(time, values) if many else (time, values, values, values)
     ends = dict.fromkeys(f"{pick(mean):.0f}" for pick in (np.min, np.max)) if len(mean) else ()
-    span = f"{' to '.join(ends)} rpm" if ends else ""
-    remark = f"{span}, band: lowest to highest" if many else span
+    remark = f"{' to '.join(ends)} rpm{', band: lowest to highest' * many}" if ends else ""
     dress(axes, x="Time, s", y="Speed, rpm", title=str(dataset.attrs["recording"]), note=remark)
     if not len(values):
         scale(axes, (0.0, 1.0), None)

@@ -8,7 +8,6 @@ import zlib
 from collections.abc import Callable, Mapping
 from functools import cache
 from io import BytesIO
-from math import log10
 from typing import Any
 
 import matplotlib
@@ -20,24 +19,10 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.path import Path
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from matplotlib.transforms import Affine2D, Bbox
 from numpy.typing import NDArray
 
-from crankorder.plot.drawing import (
-    FEW_DECADES,
-    Area,
-    Box,
-    Drawing,
-    Field,
-    Panel,
-    Rings,
-    Stroke,
-    Words,
-    decade_text,
-    pixels_of,
-    whole,
-)
+from crankorder.plot.drawing import Area, Box, Drawing, Field, Panel, Rings, Stroke, Words, pixels_of, whole
 from crankorder.plot.palette import font_file, rgb_of, text_ink
 from crankorder.settings import PictureFormat
 
@@ -50,19 +35,6 @@ def _look() -> Mapping[str, object]:
     """Every rc setting that shapes a picture: matplotlib's defaults, not the user's file, and a fixed salt for SVG."""
     defaults = {str(key): value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith(_NOT_LOOK)}
     return {**defaults, "svg.hashsalt": "crankorder"}
-
-
-def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
-    """Make the y axis of ``axes`` logarithmic, with ticks at decades, and at 2 and 5 between where these are few.
-
-    It reaches from ``low`` to ``high``, both above 0 and in the unit of the axis; ``most_ticks`` are labelled at most.
-    """
-    axes.set_yscale("log")
-    axes.set_ylim(low, high)
-    subs = (1.0, 2.0, 5.0) if log10(high / low) < FEW_DECADES else (1.0,)
-    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=most_ticks))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: decade_text(value)))
 
 
 class Painter:
@@ -224,8 +196,7 @@ def png_bytes(shown: NDArray[np.uint8], dpi: int) -> bytes:
     Rows are not filtered: pictures of lines, type and repeated colours are as small without, in a fifth of the time.
     """
     height, width = shown.shape[:2]
-    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)
-    rows[:, 1:].reshape(height, width, 3)[:] = shown[..., :3]
+    rows = np.pad(shown[..., :3].reshape(height, -1), ((0, 0), (1, 0)))
     per_metre = round(dpi / 0.0254)
     chunks = (
         (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),
@@ -234,7 +205,8 @@ def png_bytes(shown: NDArray[np.uint8], dpi: int) -> bytes:
         (b"IDAT", zlib.compress(rows.data, 3)),
         (b"IEND", b""),
     )
-    parts = [
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks
-    ]
+    parts = (
+        struct.pack(">I4s", len(data), name) + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    )
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)

@@ -12,6 +12,7 @@ from crankorder.cause import alike_speeds
 from crankorder.channel_units import unit_text
 from crankorder.errors import printable
 from crankorder.findings import Findings, FreeBand, LineFinding, ModeFinding, MotorLine, OpenBand, OrderFinding
+from crankorder.records import known
 from crankorder.settings import ReportSettings
 
 if TYPE_CHECKING:
@@ -46,8 +47,7 @@ def is_number(value: object) -> TypeGuard[float]:
 
 def interval_of(record: object, key: str) -> tuple[float, float] | None:
     """95 % interval of ``key`` in a ``record`` of the findings (its ``key_ci95``), or None where it has none."""
-    low, high = getattr(record, f"{key}_ci95", None) or (None, None)
-    return (low, high) if is_number(low) and is_number(high) else None
+    return known(getattr(record, f"{key}_ci95", None))
 
 
 def decimals_of(width: float, value: float) -> int:
@@ -206,11 +206,8 @@ def wide_bands(bands: Sequence[B]) -> list[B]:
 
 def not_judged_rpm(findings: Findings) -> list[float]:
     """Speeds [rpm] of the crossings of ``findings`` inside the tested range of which nothing could be decided."""
-    return [
-        record.rpm
-        for record in findings.crossings
-        if record.in_range and record.verdict not in _JUDGED and is_number(record.rpm)
-    ]
+    inside = (record for record in findings.crossings if record.in_range and is_number(record.rpm))
+    return [record.rpm for record in inside if record.verdict not in _JUDGED]
 
 
 def named(value: object, *, limit: int) -> str:
@@ -236,6 +233,11 @@ def at_speed(rpm: float | None) -> str:
     return f" at {rpm:.0f} rpm" if is_number(rpm) else ""
 
 
+def speed_text(rpm: float) -> str:
+    """``"1800 rpm"``, in words where ``rpm`` is not finite."""
+    return f"{rpm:.0f} rpm" if math.isfinite(rpm) else "speed not known"
+
+
 def order_estimate(record: Any, findings: Findings) -> str:
     """Order of a ``record`` with its interval, ``"5.500 (5.497…5.503)"``; without one its name in the ``findings``."""
     return estimate_text(record, "order") if getattr(record, "order_ci95", None) else order_name(record, findings)
@@ -244,9 +246,7 @@ def order_estimate(record: Any, findings: Findings) -> str:
 def is_in_doubt(mode_hz: float, findings: Findings) -> bool:
     """True where no mode of ``findings`` at ``mode_hz`` (Hz, above 0) is a natural frequency for certain."""
     nearest = min(findings.modes, key=lambda mode: abs(mode.frequency_hz - mode_hz), default=None)
-    if nearest is None or is_undecided(nearest):
-        return True
-    return abs(nearest.frequency_hz - mode_hz) > SAME_MODE * mode_hz
+    return nearest is None or is_undecided(nearest) or abs(nearest.frequency_hz - mode_hz) > SAME_MODE * mode_hz
 
 
 def unit_of(findings: Findings, record: Any) -> str:
@@ -275,12 +275,14 @@ def least_of(record: object, key: str) -> float | None:
     return low if is_number(low) and not is_number(high) else None
 
 
-def estimate_text(record: object, key: str, *, unit: str = "") -> str:
+def estimate_text(record: object, key: str, *, unit: str = "", factor: float = 1) -> str:
     """Estimate with its 95 % interval: ``"0.83 (0.81…0.85) m/s²"``; ``"–"`` where there is none.
 
-    ``record`` is one of the findings, ``key`` the name of the estimate; ``unit`` follows where given.
+    ``record`` is one of the findings or of a comparison, ``key`` the name of the estimate; number and interval are
+    multiplied by ``factor``; ``unit`` follows where given.
     """
-    return with_interval(getattr(record, key), getattr(record, f"{key}_ci95", None), unit=unit)
+    value, ends = getattr(record, key), (interval_of(record, key) or ())[:: 1 if factor > 0 else -1]
+    return with_interval(factor * value if is_number(value) else None, [factor * end for end in ends], unit=unit)
 
 
 def level_text(findings: Findings, record: Any) -> str:
@@ -293,14 +295,12 @@ def with_interval(value: object, ends: Sequence[object] | None, *, unit: str = "
     """``value`` with the ``ends`` of its 95 % interval, to the digits that this earns, and its ``unit`` where given."""
     if not is_number(value):
         return "–"
-    tail = f" {unit}" if unit else ""
-    low, high = ends or (None, None)
+    tail, (low, high) = f" {unit}" if unit else "", ends or (None, None)
     if not is_number(low) or not is_number(high):
-        return number_text(float(value)) + tail
-    decimals = decimals_of(high - low, float(value))
-    if not -1 <= decimals <= 6:
-        return f"{number_text(float(value))} ({number_text(low)}…{number_text(high)}){tail}"
-    texts = [f"{number:.{max(decimals, 0)}f}".replace("-", "−") for number in (float(value), low, high)]
+        return number_text(value) + tail
+    decimals, texts = decimals_of(high - low, value), [number_text(number) for number in (value, low, high)]
+    if -1 <= decimals <= 6:
+        texts = [f"{number:.{max(decimals, 0)}f}".replace("-", "−") for number in (value, low, high)]
     return f"{texts[0]} ({texts[1]}…{texts[2]}){tail}"
 
 
@@ -364,12 +364,10 @@ def fixed_tones(findings: Findings) -> list[FixedTone]:
             record = ModeFinding(
                 frequency_hz=hz, frequency_hz_ci95=ends, channels=(), evidence="", explained_by=kind, causes=line.causes
             )
-            tone = FixedTone(record)
-            tones.append(tone)
+            tones.append(tone := FixedTone(record))
         tone.lines.append(line)
-    for tone in tones:
-        tone.lines.sort(key=lambda line: -line.size)
-    return sorted(tones, key=lambda tone: tone.record.frequency_hz)
+    every = [FixedTone(tone.record, sorted(tone.lines, key=lambda line: -line.size)) for tone in tones]
+    return sorted(every, key=lambda tone: tone.record.frequency_hz)
 
 
 def fixed_frequencies(findings: Findings) -> list[ModeFinding]:

@@ -56,6 +56,8 @@ from crankorder.plot.reading import (
     order_text,
     order_texts,
     scaling_text,
+    speed_text,
+    strongest_by,
 )
 from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
@@ -165,16 +167,15 @@ def column_boxes(
     """
     row = max((settings.height_in - _BOTTOM - _TOP - (n - 1) * _ROW_GAP) / n, _LEAST_ROW)
     drawing = Drawing(settings.width_in, _TOP + _BOTTOM + n * row + (n - 1) * _ROW_GAP)
-    bottoms = [_BOTTOM + (n - 1 - k) * (row + _ROW_GAP) for k in range(n)]
+    bottoms = [_BOTTOM + k * (row + _ROW_GAP) for k in reversed(range(n))]
     return drawing, [[(left, bottom, width, row) for bottom in bottoms] for left in lefts]
 
 
 def _subtitle(n_speeds: int, rpm: float, kind: str, *, modes: bool, orders: bool) -> str:
-    left = f"median over {n_speeds} speeds" if n_speeds > 1 else "the one speed"
-    which = "highest speed" if n_speeds > 1 else "same speed"
-    at = f"{which}, {rpm:.0f} rpm" if np.isfinite(rpm) else "speed unknown"
-    left = f"Left: power spectral density, {left}{', with what stays at its frequency' if modes else ''}."
-    return f"{left} Right: {kind}, {at}{', with orders' if orders else ''}."
+    left, which = (f"median over {n_speeds} speeds", "highest") if n_speeds > 1 else ("the one speed", "same")
+    at = f"{which} speed, {rpm:.0f} rpm" if np.isfinite(rpm) else "speed unknown"
+    left += ", with what stays at its frequency" * modes
+    return f"Left: power spectral density, {left}. Right: {kind}, {at}{', with orders' * orders}."
 
 
 def column_panels(
@@ -196,8 +197,8 @@ def column_panels(
         panel.x_axis(title if last else "", most=10, named=last)
         name = drawable(dataset["channel"].values[number], settings.max_name_characters)
         unit = drawable(unit_text(units[number]), 24)
-        squared = f"({unit})" if "²/Hz" in unit_tail and "/" in unit else unit
-        label = f"{shortened(name, NORMAL, box[3])}\n{squared}{unit_tail}"
+        unit = f"({unit})" if "²/Hz" in unit_tail and "/" in unit else unit
+        label = f"{shortened(name, NORMAL, box[3])}\n{unit}{unit_tail}"
         panel.y_axis(label, most=5, places=None if panel.log_y else [], at_in=_LABEL_AT)
         panel.frame()
         panels.append(panel)
@@ -225,18 +226,15 @@ def _mark_orders(
 ) -> list[Mark]:
     if not np.isfinite(rpm):
         return []
-    strength: dict[float, float] = {}
     in_channel = {(record.channel, nominal_order(record)) for record in findings.orders}
-    for record in findings.orders:
-        order = nominal_order(record)
-        strength[order] = max(strength.get(order, 0.0), record.amplitude)
-    kept = sorted(sorted(strength, key=lambda order: -strength[order])[:limit])
-    texts = order_texts(kept)
+    strongest = strongest_by(findings.orders, nominal_order)
+    kept = sorted(sorted(strongest, key=lambda order: -strongest[order].amplitude)[:limit])
+    marks = [(order * rpm / 60, text, LINES[1]) for order, text in zip(kept, order_texts(kept), strict=True)]
     for panel, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):
-        for order, text in zip(kept, texts, strict=True):
+        for order, (hertz, text, color) in zip(kept, marks, strict=True):
             alpha = 0.6 if (channel, order) in in_channel else 0.25
-            panel.upright(order * rpm / 60, color=LINES[1], width=0.7, alpha=alpha, name=f"order-{text}")
-    return [(order * rpm / 60, text, LINES[1]) for order, text in zip(kept, texts, strict=True)]
+            panel.upright(hertz, color=color, width=0.7, alpha=alpha, name=f"order-{text}")
+    return marks
 
 
 _AROUND = 0.5  # orders to each side: further than a line leaks, nearer than the next whole order
@@ -357,14 +355,14 @@ def _by_speed(dataset: xr.Dataset, channel: int) -> dict[str, Floats]:
         return {"largest": known.max(axis=0), "median": np.median(known, axis=0)}
     lines: dict[str, Floats] = {}
     for number in measured:
-        text = f"{speed[number]:.0f} rpm" if np.isfinite(speed[number]) else "speed not known"
+        text = speed_text(speed[number])
         lines[text if text not in lines else f"{text} ({number + 1})"] = amplitude[number]
     return lines
 
 
 _NAME_LETTERS = (60, 40, 30, 22, 16, 12, 8)  # of a bearing in a label, where there are several: the most that fit
 _FLOOR = LINES[4]
-_SIDEBANDS = 2  # marked on either side of a line that has some
+_SIDEBANDS = np.array([-2, -1, 1, 2])  # that are marked beside a line that has some
 _MULTIPLES = 12  # of a line that was found, marked at most
 _MOST_NAMED = 6  # lines that a notebook's picture names
 _CHANCE = 1e-3  # that noise alone is named there
@@ -413,14 +411,10 @@ def draw_envelope(panel: Panel, order: Floats, amplitude: Floats, floor: Floats)
 
 
 def _keys(drawing: Drawing, *, expected: bool, found: bool) -> list[Key]:
-    keys = [Key("floor", _FLOOR)] if drawing.strokes("floor") else []
-    if expected:
-        keys.append(Key("order expected of a bearing", MODE, MODE_DASHES))
-    if found:
-        keys += [Key("found", LINES[1], ring=True), Key("its multiples", LINES[1])]
-    if drawing.strokes("sideband"):
-        keys.append(Key("its sidebands", LINES[3], TONE_DASHES))
-    return keys
+    keys = [Key("floor", _FLOOR)] * bool(drawing.strokes("floor"))
+    keys += [Key("order expected of a bearing", MODE, MODE_DASHES)] * expected
+    keys += [Key("found", LINES[1], ring=True), Key("its multiples", LINES[1])] * found
+    return keys + [Key("its sidebands", LINES[3], TONE_DASHES)] * bool(drawing.strokes("sideband"))
 
 
 def _mean_over_speeds(envelope: xr.Dataset, name: str) -> Floats:
@@ -481,17 +475,16 @@ def _draw_bearing_lines(panel: Panel, orders: Floats, values: Floats, findings: 
     """Whether a bearing line of a ``channel`` is ringed in ``panel``; thin lines mark its multiples and sidebands."""
     places = []
     for record in findings.bearings:
+        order, apart = record.order, record.sidebands or 0.0
         own = record.channel in (None, channel) and record.seen_in == "envelope"
-        if not own or not is_number(record.order) or not len(orders):
+        if not own or not is_number(order) or not len(orders):
             continue
-        order, multiples, apart = record.order, record.harmonics, record.sidebands
         places.append(order)
-        for number in range(2, min(int(multiples) if is_number(multiples) else 1, _MULTIPLES) + 1):
+        for number in range(2, min(int(record.harmonics or 1), _MULTIPLES) + 1):
             if number * order <= panel.x[1]:
                 panel.upright(number * order, color=LINES[1], width=0.7, alpha=0.45, name=f"multiple-{number}")
-        for number in range(-_SIDEBANDS, _SIDEBANDS + 1) if is_number(apart) and apart > 0 else ():
-            place = order + number * float(apart or 0.0)
-            if number and panel.x[0] < place < panel.x[1]:
+        for place in order + apart * _SIDEBANDS if apart > 0.0 else ():
+            if panel.x[0] < place < panel.x[1]:
                 panel.upright(place, color=LINES[3], dashes=TONE_DASHES, alpha=0.9, name="sideband")
     return ring_lines(panel, orders, values, places)
 
@@ -547,10 +540,9 @@ def envelope(
 
 def _speed_at(dataset: xr.Dataset, order: Floats, amplitude: Floats, floor: Floats, asked: float | None) -> int:
     """Index of the speed to draw: the nearest to ``asked``, else that of the highest line over the floor."""
-    speed = np.asarray(dataset["speed"].values, dtype=float)
-    if asked is not None and len(speed):
-        wanted = positive(asked, "speed_rpm", "envelope")
-        return int(np.argmin(np.where(np.isfinite(speed), np.abs(speed - wanted), np.inf)))
+    if asked is not None and dataset.sizes["speed"]:
+        apart = np.abs(dataset["speed"].values - positive(asked, "speed_rpm", "envelope"))
+        return int(np.argmin(np.nan_to_num(apart, nan=np.inf)))
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where((floor > 0) & (order > 0), amplitude / floor, 0.0)
     over = over if np.any(over > 0) else np.where(order > 0, amplitude, 0.0)
@@ -559,11 +551,8 @@ def _speed_at(dataset: xr.Dataset, order: Floats, amplitude: Floats, floor: Floa
 
 def _speed_and_band(dataset: xr.Dataset, channel: int, at: int) -> str:
     """Speed [rpm] and frequency band [Hz] of the spectrum drawn, as text."""
-    if not dataset.sizes["speed"]:
-        return ""
-    speed = float(dataset["speed"].values[at])
-    text = f"{speed:.0f} rpm" if np.isfinite(speed) else "speed not known"
-    return ", ".join(filter(None, [text, _band(dataset.isel(speed=[at]), channel)]))
+    own = dataset.isel(speed=slice(at, at + 1))
+    return ", ".join(filter(None, [*map(speed_text, own["speed"].values), _band(own, channel)]))
 
 
 def _band(dataset: xr.Dataset, channel: int) -> str:

@@ -7,31 +7,20 @@ from dataclasses import replace
 from functools import partial
 
 from crankorder.channel_units import unit_text
-from crankorder.comparison import (
-    FIRING,
-    PROGRAM,
-    REPEATS,
-    Comparison,
-    LineKind,
-    OrderChangeRecord,
-    Trend,
-    UnbalanceRecord,
-)
+from crankorder.comparison import FIRING, PROGRAM, REPEATS, Comparison, OrderChangeRecord, Trend, UnbalanceRecord
 from crankorder.identify.order_changes import TREND_NUMBERS as TREND
 from crankorder.plot.reading import (
     at_speed,
     estimate_text,
     frequency_text,
-    interval_of,
     is_number,
     listed,
     named,
     number_text,
     order_text,
     short,
-    with_interval,
 )
-from crankorder.records import Record, known
+from crankorder.records import known
 from crankorder.report.sentences.story import Answer, Story
 from crankorder.report.tables import Table, table_of
 from crankorder.settings import ReportSettings
@@ -141,23 +130,18 @@ def _cause_sentence(comparison: Comparison) -> str:
     if len(orders) > _FEW:
         few = _orders_text(orders).partition(" ")[2] if len(orders) <= _MANY else between
         return f"{len(orders)} orders changed ({few}).{unexplained}"
-    parts = []
-    for order in orders:
-        verb, clearest = _ratio_of(comparison, order)
-        parts.append(f"order {order_text(order)} {verb}" + (f" to {_times(clearest)}" if clearest else ""))
+    ratios = [(order_text(order), *_ratio_of(comparison, order)) for order in orders]
+    parts = [f"order {order} {verb}" + (f" to {_times(record)}" if record else "") for order, verb, record in ratios]
     return f"{_capital(listed(parts))}; no other order changed.{unexplained}"
 
 
 def _unchanged(comparison: Comparison) -> str:
     """Sentence on what was compared without a significant change, and what was not compared."""
-    compared = (
-        ("orders", "no order", bool(comparison.orders)),
-        ("natural frequencies", "no natural frequency that both tests show",
-         any(mode.only_in is None for mode in comparison.modes)),
-    )  # fmt: skip
-    unchanged = [f"{listed([none for _, none, yes in compared if yes])} changed"]
-    unchanged += ["no bearing line grew"] if any(trend.kind != "order" for trend in comparison.trend) else []
-    left = listed([many for many, _, yes in compared if not yes])
+    of_both = any(mode.only_in is None for mode in comparison.modes)
+    none = ["no order"] * bool(comparison.orders) + ["no natural frequency that both tests show"] * of_both
+    unchanged = [f"{listed(none)} changed"]
+    unchanged += ["no bearing line grew"] * any(trend.kind != "order" for trend in comparison.trend)
+    left = listed(["orders"] * (not comparison.orders) + ["natural frequencies"] * (not of_both))
     rest = "other lines, tones and noise"
     rest = f"{left} could not be compared, nor are {rest}" if left else f"{rest} are not compared"
     return f"{_capital(listed(unchanged))} by more than chance alone would change it; {rest}."
@@ -177,10 +161,9 @@ def _moving_masses(comparison: Comparison) -> str:
     changed = {mass.quantity: mass for mass in comparison.balance if mass.changed}
     for quantity in ("residual_reciprocating_g", "along_g", "residual_second_order_g"):
         if mass := changed.get(quantity):
-            size, more = (1, "more") if mass.change > 0 else (-1, "less")
-            return (
-                f"{went}: {scaled_text(mass, 'change', size)} g {more} unbalanced mass along the cylinder explains it."
-            )
+            sign, more = (1, "more") if mass.change > 0 else (-1, "less")
+            mass_g = estimate_text(mass, "change", unit="g", factor=sign)
+            return f"{went}: {mass_g} {more} unbalanced mass along the cylinder explains it."
     return f"{went}: a change of the moving masses explains it."
 
 
@@ -193,9 +176,7 @@ def _ratio_of(comparison: Comparison, order: float) -> tuple[str, OrderChangeRec
         and (ends := known(record.ratio_db_ci95)) and not ends[0] <= 0 <= ends[1]
     ]  # fmt: skip
     verbs = {_verb(record) for _, record in clear}
-    if len(verbs) != 1:
-        return "changed", None
-    return verbs.pop(), min(clear, key=lambda pair: pair[0])[1]
+    return (verbs.pop(), min(clear, key=lambda pair: pair[0])[1]) if len(verbs) == 1 else ("changed", None)
 
 
 def _verb(record: OrderChangeRecord) -> str:
@@ -208,22 +189,20 @@ def _orders_text(orders: Sequence[float]) -> str:
 
 
 def _became(unbalance: UnbalanceRecord) -> str:
-    low, high = unbalance.factor_ci95
+    (low, high), ends = unbalance.factor_ci95, known(unbalance.turned_deg_ci95)
     verb = "fell to" if high < 1 else "rose to" if low > 1 else "kept its size but turned:"
-    ends = known(unbalance.turned_deg_ci95)
     turned = f", turned by {estimate_text(unbalance, 'turned_deg')}°" if ends and not ends[0] <= 0 <= ends[1] else ""
     return f"{verb} {estimate_text(unbalance, 'factor')} of what it was{turned}"
 
 
 def _order_sentences(comparison: Comparison) -> list[str]:
     """One sentence per order that changed, in the channel where its change is clearest."""
-    best: dict[float, OrderChangeRecord] = {}
+    best = dict[float, OrderChangeRecord]()
     for record in sorted(comparison.orders, key=lambda record: record.p_value):
         if record.changed:
             best.setdefault(record.order, record)
-    sentences = [_order_sentence(record) for record in best.values()]
-    more = [f"{len(sentences) - _MANY} more orders changed: see the table."] if len(sentences) > _MANY else []
-    return [*sentences[:_MANY], *more]
+    more = [f"{len(best) - _MANY} more orders changed: see the table."] * (len(best) > _MANY)
+    return [_order_sentence(record) for record in best.values()][:_MANY] + more
 
 
 def _order_sentence(record: OrderChangeRecord) -> str:
@@ -256,7 +235,7 @@ def _mode_sentences(comparison: Comparison) -> list[str]:
 
 def alike(trends: Sequence[Trend]) -> list[list[Trend]]:
     """The ``trends`` in groups of one order and channel, which only their names tell apart."""
-    groups: dict[tuple[LineKind, str, float], list[Trend]] = {}
+    groups = dict[tuple[str, str, float], list[Trend]]()
     for trend in trends:
         groups.setdefault((trend.kind, trend.channel, round(trend.order, 2)), []).append(trend)
     return list(groups.values())
@@ -267,7 +246,7 @@ def _growth_sentences(comparison: Comparison) -> list[str]:
     sentences = []
     for lines in alike([trend for trend in comparison.trend if trend.grows]):
         first = lines[0]
-        growth = scaled_text(first, "growth_per_run", 100)
+        growth = estimate_text(first, "growth_per_run", factor=100)
         rule = "" if first.kind == "order" else " A growing amplitude of a bearing line means a failing bearing."
         where = short(first.channel) if first.channel else "the envelope"
         names = " or ".join(dict.fromkeys(short(trend.line) for trend in lines))
@@ -280,15 +259,12 @@ def _law_sentences(comparison: Comparison) -> list[str]:
     best = _best_unbalance(comparison)
     if best is None or best.n_speeds < 2 or _turned(comparison):
         return []
-    stiff = (
-        "The change of order 1 grows with the square of speed at one phase, as the force of a mass on a stiff path "
-        "does."
-    )
-    resonant = (
-        "The change of order 1 does not grow with the square of speed: a resonance lies between the force and the "
-        "sensor. Its ratio does not depend on that, for both tests went through the same path."
-    )
-    return [stiff if best.square_law_p is not None and best.square_law_p >= 1e-3 else resonant]
+    if (best.square_law_p or 0.0) >= 1e-3:
+        law = "grows with the square of speed at one phase, as the force of a mass on a stiff path does."
+    else:
+        law = "does not grow with the square of speed: a resonance lies between the force and the sensor. Its ratio "
+        law += "does not depend on that, for both tests went through the same path."
+    return [f"The change of order 1 {law}"]
 
 
 def _mass_sentences(comparison: Comparison) -> list[str]:
@@ -302,7 +278,7 @@ def _mass_sentences(comparison: Comparison) -> list[str]:
     # grams where all stated masses sit at one radius
     per_gmm, unit = (1.0 / trial.radius_mm, "g") if trial.radius_mm else (1.0, "g·mm")
     before, after = (
-        f"{scaled_text(trial, size, per_gmm)} {unit}" + (f" at {angle:.0f}°" if is_number(angle) else "")
+        estimate_text(trial, size, unit=unit, factor=per_gmm) + (f" at {angle:.0f}°" if is_number(angle) else "")
         for size, angle in (
             ("residual_rotating_gmm", trial.angle_deg), ("residual_after_gmm", trial.angle_after_deg)
         )
@@ -348,25 +324,17 @@ def _capital(text: str) -> str:
 
 
 def _what_to_do(comparison: Comparison) -> list[str]:
-    advice, orders = [], comparison.cause.orders
-    differing = {confound.what for confound in comparison.confounds}
-    if REPEATS in differing and orders and len(comparison.runs) < 3:
-        advice.append("Repeat one of the tests without a change: what differs then is the set-up, not the build.")
-    if PROGRAM in differing:
-        advice.append("Analyse both again with one version of the program.")
-    if _turned(comparison) and len(orders) > 1:
-        advice.append(
-            "If the mark was moved, state its angle (index_to_tdc_deg) in the manifests: amplitudes alone are compared."
-        )
-    if any(trend.grows and trend.kind != "order" for trend in comparison.trend):
-        advice.append("Replace the bearing whose line grows, or watch it in shorter intervals.")
-    return advice
-
-
-def scaled_text(record: Record, key: str, factor: float) -> str:
-    """Text of the estimate ``key`` of a ``record`` with its 95 % interval, both times ``factor``."""
-    ends = sorted(factor * end for end in interval_of(record, key) or ())
-    return with_interval(factor * getattr(record, key), ends or None)
+    orders, differing = comparison.cause.orders, {confound.what for confound in comparison.confounds}
+    fails = any(trend.grows and trend.kind != "order" for trend in comparison.trend)
+    advice = {
+        "Repeat one of the tests without a change: what differs then is the set-up, not the build.":
+            REPEATS in differing and orders and len(comparison.runs) < 3,
+        "Analyse both again with one version of the program.": PROGRAM in differing,
+        "If the mark was moved, state its angle (index_to_tdc_deg) in the manifests: amplitudes alone are compared.":
+            _turned(comparison) and len(orders) > 1,
+        "Replace the bearing whose line grows, or watch it in shorter intervals.": fails,
+    }  # fmt: skip
+    return [text for text, holds in advice.items() if holds]
 
 
 _ANSWERS: dict[Answer, str] = {"what": "What changed", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}
@@ -475,7 +443,7 @@ def _balance(comparison: Comparison, _: Shorten) -> Table:
 def _trend(comparison: Comparison, short: Shorten) -> Table:
     rows = [
         [
-            short(t.line), t.kind, short(t.channel), _YES[t.changed], scaled_text(t, "growth_per_run", 100),
+            short(t.line), t.kind, short(t.channel), _YES[t.changed], estimate_text(t, "growth_per_run", factor=100),
             ", ".join(number_text(value) for value in t.amplitude), _chance(t.p_value), t.verdict,
         ]
         for t in sorted(comparison.trend, key=lambda trend: (not trend.changed, trend.kind, trend.line))

@@ -41,8 +41,8 @@ def order_change_figure(changes: xr.Dataset, comparison: Comparison, *, settings
     low, high = (float(np.nanmin(speed)), float(np.nanmax(speed))) if np.isfinite(speed).any() else (0.0, 1.0)
     margin = 0.04 * (high - low) if high > low else max(0.05 * abs(low), 1.0)
     ends, limits = (low - margin, high + margin), _limits_db(changes)
+    width = (settings.width_in - _LEFT - columns * _GUTTER + 0.2) / columns
     for number, channel in enumerate(channels):
-        width = (settings.width_in - _LEFT - columns * _GUTTER + 0.2) / columns
         left = _LEFT + (number % columns) * (width + _GUTTER)
         box = (left, _BOTTOM + (rows - 1 - number // columns) * (block + 0.9), width, block)
         _draw_channel(Panel(drawing, box, ends, limits), changes, channel, colours, first=number % columns == 0)
@@ -75,16 +75,15 @@ def _draw_channel(panel: Panel, changes: xr.Dataset, channel: str, colours: dict
     panel.x_axis("Speed, rpm", most=int(np.clip(1.8 * width, 3, 10)), whole=True)
     panel.y_axis("Second test over first, dB" if first else "")
     panel.curve(np.array(panel.x), np.zeros(2), color=FAINT, width=0.9, name="no change")
-    labels = []
-    rows = [n for n, name in enumerate(changes["channel"].values.tolist()) if name == channel]
-    rows.sort(key=lambda n: float(changes["order"].values[n]) in colours)  # those that changed lie on top
+    labels, orders = [], changes["order"].values.tolist()
     by_speed = np.argsort(changes["speed"].values, kind="stable")
-    for row in rows:
-        order = float(changes["order"].values[row])
-        color = colours.get(order) if changes["changed"].values[row].any() else None
+    rows = np.flatnonzero(changes["channel"].values == channel).tolist()
+    for row in sorted(rows, key=lambda row: orders[row] in colours):  # those that changed lie on top
+        color = colours.get(orders[row]) if changes["changed"].values[row].any() else None
         last = _draw_line(panel, changes, row, by_speed, color)
         if color is not None and last is not None:
-            labels.append(EdgeLabel(panel.height_at(float(np.clip(last, *panel.y))), order_text(order), color, row))
+            at = panel.height_at(float(np.clip(last, *panel.y)))
+            labels.append(EdgeLabel(at, order_text(orders[row]), color, row))
     panel.frame()
     label_right(panel.drawing, panel.box, labels)
     if labels:
@@ -102,13 +101,11 @@ def _draw_line(panel: Panel, changes: xr.Dataset, row: int, at: Ints, color: str
     values = np.where(known, values, np.nan)
     if not np.isfinite(values).any():
         return None
-    bottom, top = panel.y
-    low, high = (
-        np.where(known, np.clip(np.nan_to_num(end, nan=0.0), bottom - 50.0, top + 50.0), np.nan) for end in (low, high)
-    )
     if color is None:
         panel.curve(speed, values, color=LIGHT, width=0.7, name="unchanged")
         return None
+    reach = (panel.y[0] - 50.0, panel.y[1] + 50.0)
+    low, high = (np.where(known, np.clip(np.nan_to_num(end, nan=0.0), *reach), np.nan) for end in (low, high))
     _draw_interval(panel, speed, low, high, color)
     name = f"order-{order_text(float(changes['order'].values[row]))}"
     panel.curve(speed, values, color=color, width=1.3, name=name)

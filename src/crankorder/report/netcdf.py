@@ -114,20 +114,19 @@ def _write_group(group: h5py.Group, dataset: xr.Dataset, number: Iterator[int]) 
     ids = {dim: np.int32(next(number)) for dim in sorted(sizes)}
     outer = " ".join(sorted(str(coord) for coord in dataset.coords if coord not in sizes))
     stored = {
-        str(name) + suffix: (variable, values)
+        f"{name}{suffix}": (variable, values)
         for name, variable in sorted(dataset.variables.items(), key=lambda pair: str(pair[0]))
         for suffix, values in _stored(str(name), np.asarray(variable.values))
     }
     written = {}
     for name in sorted({*stored, *sizes}):
-        label = name
         if name in stored:
             written[name] = _write_values(group, name, stored[name][1])
         else:  # no values are stored
             space = h5s.create_simple((sizes[name],))
             written[name] = h5d.create(group.id, name.encode(), h5t.IEEE_F32BE, space, _creation())
-            label = f"{BARE_DIMENSION.decode()}{sizes[name]:10d}"
         if name in sizes:
+            label = name if name in stored else f"{BARE_DIMENSION.decode()}{sizes[name]:10d}"
             h5ds.set_scale(written[name], label.encode())
             _attribute(written[name], "_Netcdf4Dimid", ids[name])
     for name, (variable, _) in stored.items():
@@ -323,10 +322,8 @@ def _attribute(owner: Any, name: str, value: Any) -> None:
 
 def _read_attrs(owner: h5py.Group | h5py.Dataset) -> dict[str, object]:
     """Attributes of ``owner`` without those that make the layout; single numbers as such."""
-    attrs = {name: owner.attrs[name] for name in owner.attrs if name not in _OF_THE_LAYOUT}
-    for name, value in attrs.items():
-        attrs[name] = value.reshape(-1)[0] if isinstance(value, np.ndarray) and value.size == 1 else value
-    return attrs
+    told = ((name, owner.attrs[name]) for name in owner.attrs if name not in _OF_THE_LAYOUT)
+    return {name: value.flat[0] if isinstance(value, np.ndarray) and value.size == 1 else value for name, value in told}
 
 
 def published(dataset: xr.Dataset) -> xr.Dataset:
@@ -336,8 +333,7 @@ def published(dataset: xr.Dataset) -> xr.Dataset:
     in ``ancillary_variables``, amplitudes say how they are scaled, phases from where they count. Its quality flags are
     left out: they are the table ``findings/quality``.
     """
-    real = with_real_units(dataset)
-    real = real.copy(deep=False) if real is dataset else real
+    real = with_real_units(dataset).copy(deep=False)
     real.attrs = {key: value for key, value in dataset.attrs.items() if key != "quality"}
     for name in map(str, real.data_vars):
         base = str(real[name].attrs.get(PART_OF, name))

@@ -21,7 +21,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from crankorder.channel_units import unit_text
-from crankorder.findings import CrossingFinding, Findings, ModeFinding
+from crankorder.findings import CrossingFinding, Findings, ModeFinding, OrderFinding
 from crankorder.plot.campbell_figure import level_limits, speed_cells
 from crankorder.plot.labels import mode_style, mode_text
 from crankorder.plot.orders_figure import shown_tracks
@@ -96,6 +96,7 @@ def report_page(
     """
     limit = settings.max_name_characters
     lead, story = headline(findings)[0], story_of(findings)
+    told = [(title, [text for text in story[key] if text != lead]) for key, title in _ANSWERS.items()]
     live = live_data(groups, findings, settings=settings) if settings.pictures else ""
     return rendered_page(
         "report.html",
@@ -103,10 +104,7 @@ def report_page(
         live=Markup(live),  # JSON without <, > and &
         test=named(findings.test, limit=limit),
         lead=lead,
-        story=[
-            (title, _first_and_rest([sentence for sentence in story[key] if sentence != lead]))
-            for key, title in _ANSWERS.items()
-        ],
+        story=[(title, _first_and_rest(sentences)) for title, sentences in told],
         pictures=_embedded(pictures, limit=4 * limit),
         tables=tables_of(findings, limit=limit),
         provenance=provenance_table(provenance),
@@ -213,9 +211,9 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
     names = [named(name, limit=settings.max_name_characters) for name in names]
     levels = [channel_level(first, number, settings=settings) for number in range(len(names))]
     references = [reference for reference, _ in levels]
-    maps = [_map(name, groups[name], references, settings) for name in _TITLES if name in groups]
+    maps = [*filter(None, (_map(name, groups[name], references, settings) for name in _TITLES if name in groups))]
     tracks = _tracks(groups.get("order_tracks"), len(names), limit=settings.max_labelled_orders)
-    if not any(maps) and tracks is None:
+    if not maps and tracks is None:
         return ""
     document = {
         "hint": HINT, "freeText": "Free of resonances at this speed.", "unasked": bool(findings.not_asked_for),
@@ -224,8 +222,7 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
             {"name": name, "unit": unit_text(unit), "reference": reference, "level": text}
             for name, unit, (reference, text) in zip(names, units, levels, strict=True)
         ],
-        "maps": [*filter(None, maps)],
-        "tracks": tracks,
+        "maps": maps, "tracks": tracks,
         "guides": [{"order": order, "text": order_text(order)} for order in _GUIDES],
         **_statements(findings, [str(name) for name in first["channel"].values[: len(names)]], settings),
     }  # fmt: skip
@@ -267,22 +264,17 @@ def _map(name: str, dataset: xr.Dataset, references: list[float], settings: Repo
         limits.append(level_limits(values, reference, range_db=settings.dynamic_range_db))
         codes.append(_base64(_codes(values, top).tobytes()))
     step = float(x[-1] - x[0]) / (len(x) - 1)
-    ends = speed_cells(speed[kept])
-    rows = [[_short(rpm), _short(low), _short(high)] for rpm, (low, high) in zip(speed[kept], ends, strict=True)]
+    rows = _shortened(np.column_stack([speed[kept], speed_cells(speed[kept])]).tolist())
     return {
         "kind": kind, "title": title, "label": label, "x0": float(x[0]) + (pool - 1) / 2 * step, "dx": pool * step,
         "nx": columns, "pooled": pool, "rows": rows, "largest": largest, "limits": limits, "cells": codes,
     }  # fmt: skip
 
 
-def _short(value: float) -> float:
-    return float(f"{value:.8g}")
-
-
 def _shortened(value: object) -> object:
     """``value`` with every number to eight digits: findings read back from their file have no more than ten."""
     if isinstance(value, float):
-        return _short(value)
+        return float(f"{value:.8g}")
     if isinstance(value, dict):
         return {key: _shortened(part) for key, part in value.items()}
     return [_shortened(part) for part in value] if isinstance(value, list | tuple) else value
@@ -290,10 +282,8 @@ def _shortened(value: object) -> object:
 
 def _codes(values: Floats, top: float) -> NDArray[np.uint16]:
     """Codes of the script: 0 for nothing, 60000 for ``top``, one less for every 0.005 dB below."""
-    if top <= 0:
-        return np.zeros(values.shape, dtype="<u2")
-    share = np.divide(values, top)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # 0 / 0 where there is no signal
+        share = np.divide(values, top)
         code = np.rint(_TOP + 20 / _STEP_DB * np.log10(share))
     return np.asarray(np.where(share > 0, np.clip(code, 1, _TOP), 0).astype("<u2"))
 
@@ -313,7 +303,7 @@ def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> Record |
     with np.errstate(over="ignore"):
         packed = {key: _base64(part[:kept].astype("<f4").tobytes()) for key, part in values.items()}
     return {
-        "kind": "tracks", "title": "Orders against speed", "speed": [_short(rpm) for rpm in shown.speed],
+        "kind": "tracks", "title": "Orders against speed", "speed": _shortened(shown.speed.tolist()),
         "orders": orders, "largest": largest.tolist(), **packed,
     }  # fmt: skip
 
@@ -322,30 +312,25 @@ def _statements(findings: Findings, names: list[str], settings: ReportSettings) 
     """Findings as records for the script of the page; channels by their index in ``names``."""
     limit, modes = settings.max_name_characters, fixed_frequencies(findings)
     number = {name: place for place, name in enumerate(names)}
-    ranges = [ends for speed in findings.speeds_to_avoid or () if (ends := known(speed.rpm_range)) is not None]
-    bands = [(band.low_rpm, band.high_rpm) for band in findings.free_bands]
+    ranges = filter(None, (known(speed.rpm_range) for speed in findings.speeds_to_avoid or ()))
     statements = {
-        "orders": _orders(findings, number, limit),
+        "orders": [_order(record, findings, number, limit) for record in findings.orders if record.channel in number],
         "fixed": [_fixed(mode, number, limit) for mode in modes],
         "crossings": [_crossing(record, findings, modes, number) for record in findings.crossings if record.in_range],
         "lines": _lines(findings, number, limit),
         "avoid": [{"low": low, "high": high, "text": f"Avoid {speeds_text((low, high))} rpm."} for low, high in ranges],
-        "free": [ends for ends in bands if known(ends) is not None],
+        "free": [*filter(None, (known((band.low_rpm, band.high_rpm)) for band in findings.free_bands))],
     }
     return {key: _shortened(value) for key, value in statements.items()}
 
 
-def _orders(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
-    """Order records for the script: label, cause, speed of the maximum and speed range, by channel index."""
-    return [
-        {
-            "channel": number[record.channel], "order": record.order, "text": order_name(record, findings),
-            "why": named(record.explained_by or "unexplained", limit=2 * limit), "size": record.amplitude,
-            "at": record.speed_rpm_at_max, "seen": known(record.speed_range_rpm),
-        }
-        for record in findings.orders
-        if record.channel in number
-    ]  # fmt: skip
+def _order(record: OrderFinding, findings: Findings, number: dict[str, int], limit: int) -> Record:
+    """Record of an order for the script: label, cause, speed of the maximum and speed range, by channel index."""
+    return {
+        "channel": number[record.channel], "order": record.order, "text": order_name(record, findings),
+        "why": named(record.explained_by or "unexplained", limit=2 * limit), "size": record.amplitude,
+        "at": record.speed_rpm_at_max, "seen": known(record.speed_range_rpm),
+    }  # fmt: skip
 
 
 def _half_width(mode: ModeFinding) -> float:
@@ -394,9 +379,9 @@ def _crossing(
 
 def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
     """Records of the strongest spectral lines, by ``order`` or ``hz``, with their causes."""
-    shown: list[Record] = []
-    lines = [line for line in findings.lines if line.channel in number]
-    for line in sorted(lines, key=lambda line: -line.size)[:_MOST_LINES]:
+    shown = list[Record]()
+    own = (line for line in findings.lines if line.channel in number)
+    for line in sorted(own, key=lambda line: -line.size)[:_MOST_LINES]:
         place = f"{line.frequency_hz:.4g} Hz" if line.order is None else f"order {order_text(nominal_order(line))}"
         text = f"Line at {place}: {named(line.explained_by or 'unexplained', limit=2 * limit)}."
         shown.append({"channel": number[line.channel], "order": line.order, "hz": line.frequency_hz, "text": text})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import AvoidedSpeed, EnergyShares, Findings, FreeBand, ModeFinding, OpenBand, Quality
@@ -85,9 +86,7 @@ def table_of(
     ``rows`` are of text; a page holds the first 400. ``empty`` stands in their place where there are none, ``note``
     above them; ``more`` is folded away.
     """
-    columns: list[dict[str, object]] = [
-        {"title": head.removesuffix("#"), "number": head.endswith("#")} for head in heads.split("|")
-    ]
+    columns = [dict[str, object](title=head.removesuffix("#"), number=head.endswith("#")) for head in heads.split("|")]
     if len(rows) > _FOLDED:
         note = f"{note} The first {_FOLDED} of {len(rows)}; findings.json holds all.".strip()
     return Table(title, columns, rows[:_FOLDED], empty, note, more)
@@ -157,10 +156,9 @@ def _peak_text(record: AvoidedSpeed, findings: Findings) -> str:
 
 def _orders(findings: Findings, limit: int) -> Table:
     loudest = strongest_by(findings.orders, lambda record: unit_of(findings, record))
+    largest = {unit: record.amplitude or 1.0 for unit, record in loudest.items()}
     rows = []
-    for record in sorted(
-        findings.orders, key=lambda record: -record.amplitude / (loudest[unit_of(findings, record)].amplitude or 1.0)
-    ):
+    for record in sorted(findings.orders, key=lambda order: -order.amplitude / largest[unit_of(findings, order)]):
         lock: str | None = record.lock
         if lock == "slips" and hertz_of_order(record, findings):
             lock = "no exact multiple"
@@ -175,14 +173,10 @@ def _orders(findings: Findings, limit: int) -> Table:
             named((record.speed_law or "–").split(" with speed")[0], limit=limit), _hertz(record, "meets_hz"),
             speeds_text(record.speed_range_rpm),
         ])  # fmt: skip
-    note = (
-        "The strongest first; where all speeds follow one law the amplitude is that of the law. "
-        "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
-    )
-    heads = (
-        "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|"
-        "With speed|Meets, Hz#|Seen, rpm#"
-    )
+    note = "The strongest first; where all speeds follow one law the amplitude is that of the law. "
+    note += "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
+    heads = "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#"
+    heads += "|Speed exponent#|With speed|Meets, Hz#|Seen, rpm#"
     return _folded("Orders", heads, rows, note=note if rows else "", empty=no_order_sentence(findings))
 
 
@@ -199,10 +193,9 @@ def _modes(findings: Findings, limit: int) -> Table:
 
 
 def _mode_row(mode: ModeFinding, remark: str, limit: int) -> list[str]:
-    value, (low, high) = mode.damping_ratio, mode.damping_ratio_ci95 or (None, None)
-    percent, *ends = (None if number is None else 100 * number for number in (value, low, high))
     channels, evidence = named(", ".join(mode.channels), limit=limit), named(mode.evidence, limit=4 * limit)
-    return [estimate_text(mode, "frequency_hz"), with_interval(percent, ends), channels, remark, evidence]
+    damping = estimate_text(mode, "damping_ratio", factor=100)
+    return [estimate_text(mode, "frequency_hz"), damping, channels, remark, evidence]
 
 
 def _shaken(mode: ModeFinding, findings: Findings) -> float:
@@ -212,11 +205,8 @@ def _shaken(mode: ModeFinding, findings: Findings) -> float:
 
 
 def _undecided(findings: Findings, limit: int) -> Table:
-    rows = [
-        _mode_row(mode, named(mode.undecided or "", limit=4 * limit), limit)
-        for mode in findings.modes
-        if is_undecided(mode)
-    ]
+    modes = filter(is_undecided, findings.modes)
+    rows = [_mode_row(mode, named(mode.undecided or "", limit=4 * limit), limit) for mode in modes]
     heads = "Frequency, Hz#|Damping, %#|Channels|Why it is not decided|Evidence"
     return table_of("Perhaps natural frequencies: not decided", heads, rows)
 
@@ -281,10 +271,8 @@ def _bearings(findings: Findings, limit: int) -> Table:
             "–" if multiples is None else str(multiples), order_text(apart) if is_number(apart) else "–",
             named(record.lock or "–", limit=limit),
         ])  # fmt: skip
-    heads = (
-        "Bearing|Line|Verdict|Seen in|Order expected#|Order found#|Slip, %#|Amplitude (peak)#|Channel|Multiples#|"
-        "Sidebands, orders apart#|To the shaft"
-    )
+    heads = "Bearing|Line|Verdict|Seen in|Order expected#|Order found#|Slip, %#|Amplitude (peak)#|Channel|Multiples#"
+    heads += "|Sidebands, orders apart#|To the shaft"
     empty = NO_BEARING_IN_ENVELOPE if "envelope" in findings.looked_for else NO_BEARING
     return table_of("Bearings", heads, rows, empty=empty)
 
@@ -389,31 +377,27 @@ def _energy(findings: Findings, limit: int) -> Table:
 
 def _square_unit(unit: str) -> str:
     """Typographic form of a squared unit: ``"(m/s²)²"`` for ``"(m/s2)²"``, ``"V²"`` for ``"(V)²"``."""
-    if not (unit.startswith("(") and unit.endswith((")²", ")2"))):
-        return unit_text(unit)
     inner = unit_text(unit[1:-2])
-    return f"({inner})²" if not inner.isalnum() else f"{inner}²"
+    squared = f"{inner}²" if inner.isalnum() else f"({inner})²"
+    return squared if unit.startswith("(") and unit.endswith((")²", ")2")) else unit_text(unit)
 
 
 def _bar(record: EnergyShares, limit: int) -> dict[str, object]:
     """Parts of a bar of length 100; shares that add up to more than all are scaled down to it."""
     shares = {key: max(getattr(record, key) or 0.0, 0.0) for key, _ in PARTS}
     scale = 100 / max(1.0, sum(shares.values()))
-    parts, start = [], 0.0
-    for key, share in shares.items():
-        width = scale * share
-        if width > 0:
-            parts.append({"kind": key.replace("_", "-"), "start": f"{start:.2f}", "width": f"{width:.2f}"})
-        start += width
+    widths = {key.replace("_", "-"): scale * share for key, share in shares.items()}
+    starts = accumulate(widths.values(), initial=0.0)
+    spans = [(kind, start, width) for (kind, width), start in zip(widths.items(), starts, strict=False) if width > 0]
+    parts = [{"kind": kind, "start": f"{start:.2f}", "width": f"{width:.2f}"} for kind, start, width in spans]
     return {"name": named(record.channel, limit=limit), "parts": parts}
 
 
 def _lines(findings: Findings, limit: int) -> Table:
     rows = []
     for line in sorted(findings.lines, key=lambda line: -line.size):
-        place = f"{estimate_text(line, 'frequency_hz')} Hz"
-        if line.order is not None:
-            place = f"order {order_estimate(line, findings)}"
+        hertz = f"{estimate_text(line, 'frequency_hz')} Hz"
+        place = hertz if line.order is None else f"order {order_estimate(line, findings)}"
         level = estimate_text(line, "amplitude", unit=unit_of(findings, line))
         explained = named(line.explained_by or "unexplained", limit=2 * limit)
         rows.append([named(line.channel, limit=limit), place, level, explained])
@@ -469,7 +453,7 @@ def provenance_table(provenance: Mapping[str, object]) -> Table:
     everything = table_of(title, "Key|Value", rows, empty=empty)
     versions = provenance.get("versions")
     programs = versions.items() if isinstance(versions, Mapping) else ()
-    short = [[named(key, limit=60), named(value, limit=60)] for key, value in programs]
+    short = [[named(text, limit=60) for text in program] for program in programs]
     return table_of("Provenance", "Program|Version", short, empty="No versions were recorded.", more=everything)
 
 

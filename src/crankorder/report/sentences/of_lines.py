@@ -7,18 +7,9 @@ states: how it slips, which lines are its own, and what they speak for.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
-from crankorder.findings import (
-    BearingFinding,
-    Findings,
-    Level,
-    LineFinding,
-    ModeFinding,
-    Motor,
-    MotorLine,
-    MotorSpeed,
-    OrderFinding,
-)
+from crankorder.findings import BearingFinding, Findings, Level, LineFinding, ModeFinding, Motor, OrderFinding
 from crankorder.plot.reading import (
     NAME_CHARACTERS,
     at_one_speed,
@@ -207,35 +198,30 @@ def _at(findings: Findings, record: OrderFinding) -> str:
     """Speed at which an order is largest, and the natural frequency that it meets there."""
     rpm, mode_hz = record.speed_rpm_at_max, record.meets_hz
     at = at_speed(rpm)
-    if not is_number(rpm) or not is_number(mode_hz):
-        return at
-    if abs(mode_hz - record.order * rpm / 60) > _MEETING_SHARE * mode_hz:
+    if rpm is None or mode_hz is None or not abs(mode_hz - record.order * rpm / 60) <= _MEETING_SHARE * mode_hz:
         return at
     hertz = f"{frequency_text(mode_hz)} Hz"
-    if is_in_doubt(mode_hz, findings):
-        return f"{at}, where it meets {hertz}, which may be a natural frequency"
-    return f"{at}, where it meets the {hertz} natural frequency"
+    doubt, none = f"{hertz}, which may be a natural frequency", f"the {hertz} natural frequency"
+    return f"{at}, where it meets {doubt if is_in_doubt(mode_hz, findings) else none}"
 
 
 def _cause(record: OrderFinding | LineFinding, findings: Findings) -> str:
     cause, in_doubt = named(record.explained_by or "unexplained", limit=2 * NAME_CHARACTERS), bool(findings.speed_doubt)
+    alone = at_one_speed(findings)
     if record.kinds == ("unexplained",):
         return " Its cause is not known."
     if record.kinds in (("tone",), ("order",)):
         if in_doubt:
             return " Whether it follows the shaft is not decided, for the speed is in doubt."
-        if at_one_speed(findings) or record.kinds == ("order",):
-            speeds = "one speed" if at_one_speed(findings) else "speeds so alike"
-            return f" At {speeds} nothing tells whether it follows the shaft."
+        if alone or record.kinds == ("order",):
+            return f" At {'one speed' if alone else 'speeds so alike'} nothing tells whether it follows the shaft."
         return " The tone does not follow the shaft: it has a source of its own."
     if in_doubt:
         return f" Cause, if the speed is right: {cause}."
-    why = ""
-    if isinstance(record, OrderFinding) and record.kinds == (LIKE_UNBALANCE,):
-        why = "; how it grows does not tell which"
-        if "few speeds" in record.doubts:
-            why = f"; {'one speed' if at_one_speed(findings) else 'so few speeds'} cannot tell which"
-    return f" Cause: {cause}{why}."
+    if not isinstance(record, OrderFinding) or record.kinds != (LIKE_UNBALANCE,):
+        return f" Cause: {cause}."
+    few = f"{'one speed' if alone else 'so few speeds'} cannot tell which"
+    return f" Cause: {cause}; {few if 'few speeds' in record.doubts else 'how it grows does not tell which'}."
 
 
 def tone_sentences(findings: Findings) -> list[str]:
@@ -250,11 +236,10 @@ def tone_sentences(findings: Findings) -> list[str]:
     # a motor has sentences of its own
     mains = [record for record in findings.orders if "mains" in record.kinds and not findings.motor]
     mains = [record for record in mains if hertz_of_order(record, findings)]
-    strongest = sorted(strongest_by(mains, lambda record: record.order).items())
     texts += [
-        f"{order * (record.speed_rpm_at_max or 0.0) / 60.0:.2f} Hz ({short(record.explained_by)}, "
+        f"{hertz_of_order(record, findings):.2f} Hz ({short(record.explained_by)}, "
         f"{level_text(findings, record)} in {short(record.channel)})"
-        for order, record in strongest[:_SHOWN]
+        for _, record in sorted(strongest_by(mains, lambda record: record.order).items())[:_SHOWN]
     ]
     if not texts:
         return []
@@ -319,13 +304,11 @@ def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:
     Lines of faults come first, "N*fs" (rolling elements times shaft speed) last; of each, those in the envelope first.
     """
     groups: dict[tuple[float, str, str | None], list[BearingFinding]] = {}
-    for record in findings.bearings:
+    for record in sorted(findings.bearings, key=lambda record: (record.line == "N*fs", record.seen_in != "envelope")):
         if is_number(record.amplitude):
             groups.setdefault((nominal_order(record), record.line, record.seen_in), []).append(record)
     lines = []
-    for (_, line, _), records in sorted(
-        groups.items(), key=lambda group: (group[0][1] == "N*fs", group[0][2] != "envelope")
-    ):
+    for (_, line, _), records in groups.items():
         names = list(dict.fromkeys(short(record.name) for record in records))
         noun = " bearings" if len(names) != 1 else "" if names[0].lower().endswith("bearing") else " bearing"
         name = f"{_BEARING_LINES.get(line, short(line))} line of the {listed(names)}{noun}"
@@ -381,44 +364,41 @@ def _slip(motor: Motor) -> list[str]:
         return []
     by = "as its own lines measure" if motor.supply_measured else "as stated: no line of the mains measures it"
     slow, fast = (pick(speeds, key=lambda speed: speed.slip) for pick in (max, min))
-    text = f"The motor ({motor.poles} poles at {motor.supply_hz:.5g} Hz, {by}) slips by {_slip_text(fast)}"
-    if slow is not fast:
-        text += f" to {_slip_text(slow)}"
+    slips = []
+    for speed in [fast] if slow is fast else [fast, slow]:
+        low, high = (100.0 * end for end in speed.slip_ci95)
+        wide = f" ({max(low, 0.0):.2g}…{high:.2g})" if high - low > 0.1 else ""
+        slips.append(f"{100.0 * speed.slip:.3g} %{wide} at {speed.speed_rpm:.4g} rpm")
+    text = f"The motor ({motor.poles} poles at {motor.supply_hz:.5g} Hz, {by}) slips by {' to '.join(slips)}"
     if motor.supply_measured:
         ends = dict.fromkeys(f"{speed.pole_pass_hz:.3g}" for speed in (fast, slow))
         text += f"; its pole-pass frequency is {' to '.join(ends)} Hz"
-    left_out, every = len(motor.speeds) - len(speeds), len(motor.speeds)
-    more = f"At {left_out} of {every} speeds its poles and supply do not fit, and no line is named."
+    left_out = len(motor.speeds) - len(speeds)
+    more = f"At {left_out} of {len(motor.speeds)} speeds its poles and supply do not fit, and no line is named."
     return [f"{text}.", *[more] * (left_out > 0)]
-
-
-def _slip_text(speed: MotorSpeed) -> str:
-    low, high = (100.0 * end for end in speed.slip_ci95)
-    wide = f" ({max(low, 0.0):.2g}…{high:.2g})" if high - low > 0.1 else ""
-    return f"{100.0 * speed.slip:.3g} %{wide} at {speed.speed_rpm:.4g} rpm"
 
 
 def _sides(name: str, motor: Motor, findings: Findings) -> str:
     """Sentence on one pair of pole-pass sidebands, with their share of the carrier; empty where none stands."""
     carrier = name.removeprefix("motor, pole-pass sideband of ")
-    own = [line for line in motor.lines if line.name == name]
+    own = sorted((line for line in motor.lines if line.name == name), key=lambda line: line.frequency_hz)
     if not own:
         return ""
-    top = max([line for line in own if not line.others] or own, key=lambda line: line.amplitude)
+    top = max(own, key=lambda line: (not line.others, line.amplitude))
     texts = []
-    for line in sorted(own, key=lambda line: line.frequency_hz):
+    for line in own:
         if line.channel == top.channel:
             others = f" (or {' or '.join(map(short, line.others))}, which stands there too)" if line.others else ""
             texts.append(f"{line.frequency_hz:.2f} Hz{others}")
-    carriers: list[MotorLine | OrderFinding] = [line for line in motor.lines if line.name == carrier]
+    sizes = [(line.channel, line.amplitude) for line in motor.lines if line.name == carrier]
     if carrier != "twice mains":
-        carriers = [record for record in findings.orders if abs(record.order - 1.0) < 1e-3]
-    largest = max((line.amplitude for line in carriers if line.channel == top.channel), default=0.0)
+        sizes = [(record.channel, record.amplitude) for record in findings.orders if abs(record.order - 1.0) < 1e-3]
+    largest = max((amplitude for channel, amplitude in sizes if channel == top.channel), default=0.0)
     share = f", {percent_text(top.amplitude / largest)} of it" if largest > 0 else ""
     verb = "are its" if len(texts) > 1 else "is one of its"
     size = f", up to {_motor_level(findings, top)}{share}"
     return f"Beside {carrier}, {listed(texts)} {verb} pole-pass sidebands{size}: {_SPEAKS_FOR[name]}."
 
 
-def _motor_level(findings: Findings, line: MotorLine) -> str:
+def _motor_level(findings: Findings, line: Any) -> str:
     return f"{line.amplitude:.3g} {unit_of(findings, line)}".strip()

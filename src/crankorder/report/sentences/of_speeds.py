@@ -84,11 +84,9 @@ def _peak(findings: Findings, record: AvoidedSpeed) -> str:
 
 def _amplified(record: AvoidedSpeed) -> str:
     """Amplification of a ``record``: its interval, its lower end alone where it has no upper one, else the number."""
-    ends = interval_of(record, "amplification")
-    if ends is not None:
-        return " to ".join(dict.fromkeys(number_text(end, digits=2) for end in ends))
     least = least_of(record, "amplification")
-    text = number_text(least if least is not None else record.amplification or 0.0, digits=2)
+    ends = interval_of(record, "amplification") or (record.amplification if least is None else least,)
+    text = " to ".join(dict.fromkeys(number_text(end, digits=2) for end in ends))
     return text if least is None else f"at least {text}"
 
 
@@ -99,10 +97,8 @@ def all_judged(findings: Findings) -> bool:
 
 def doubt_sentences(findings: Findings) -> list[str]:
     """Sentences that the speed of the ``findings`` is in doubt, and why; empty where it is not."""
-    if not findings.speed_doubt:
-        return []
     reason = reason_text(findings.speed_doubt)
-    return [f"The speed is in doubt, and with it every order, cause and crossing: {reason}."]
+    return [f"The speed is in doubt, and with it every order, cause and crossing: {reason}."] * bool(reason)
 
 
 def shaft_sentences(findings: Findings) -> list[str]:
@@ -117,9 +113,8 @@ def shaft_sentences(findings: Findings) -> list[str]:
 def swing_sentences(findings: Findings) -> list[str]:
     """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
     swings = [swing for swing in findings.speed_swing if swing.speed_rpm > 0.0]
-    sides = sorted(
-        {nominal_order(record) for record in findings.orders if "sideband by a swing of the angle" in record.kinds}
-    )
+    by_swing = (record for record in findings.orders if "sideband by a swing of the angle" in record.kinds)
+    sides = sorted(set(map(nominal_order, by_swing)))
     more = [f"{len(sides) - _SIDES} more"] if len(sides) > _SIDES else []
     unsourced = [f"Orders {listed([*order_texts(sides)[:_SIDES], *more])} {_NO_SOURCES}."] if sides else []
     if not swings:
@@ -227,18 +222,14 @@ def _beyond(value: float) -> float:
 
 def share_sentences(findings: Findings) -> list[str]:
     """Share of the energy of each channel above the band, by the ``findings``; nothing where none was worked out."""
-    levels = [level for level in findings.levels if is_number(level.share_above)]
+    levels = [(level.share_above, level) for level in findings.levels if is_number(level.share_above)]
     if not levels:
         return []
-    levels.sort(key=lambda level: -(level.share_above or 0.0))
-    end = _band(levels[0].band_hz)
-    texts = [
-        f"{percent_text(level.share_above or 0.0)} of that of {short(level.channel)}"
-        for level in levels[:_MANY_CHANNELS]
-        if (level.share_above or 0.0) >= _WORTH_SAYING
-    ]
-    if not texts:
+    levels.sort(key=lambda pair: -pair[0])
+    end, above = _band(levels[0][1].band_hz), [pair for pair in levels[:_MANY_CHANNELS] if pair[0] >= _WORTH_SAYING]
+    if not above:
         return [f"Less than 0.5 % of the energy of any channel lies above the band looked at{end}."]
+    texts = [f"{percent_text(share)} of that of {short(level.channel)}" for share, level in above]
     more = ", less in the others" * (len(levels) > len(texts))
     return [f"Energy above the band looked at{end}: {listed(texts)}{more}."]
 
@@ -254,31 +245,26 @@ def level_sentences(findings: Findings) -> list[str]:
     if not levels:
         return []
     worst = max((level for level in levels if level.band_hz == levels[0].band_hz), key=lambda level: level.rms)
-    size = estimate_text(worst, "rms", unit=unit_text(worst.unit))
-    return [
-        f"The largest broad-band velocity (r.m.s., {band_of(worst.band_hz, worst.reached_hz)}) is {size}, in "
-        f"{short(worst.channel)}{at_speed(worst.speed_rpm)}."
-    ]
+    size = f"{estimate_text(worst, 'rms', unit=unit_text(worst.unit))}, in {short(worst.channel)}"
+    what = f"The largest broad-band velocity (r.m.s., {band_of(worst.band_hz, worst.reached_hz)})"
+    return [f"{what} is {size}{at_speed(worst.speed_rpm)}."]
 
 
 def limit_sentences(findings: Findings, *, verdict: str | None = None) -> list[str]:
     """Sentences on each limit in ``findings``, the most exceeded first; with a ``verdict`` on those alone."""
-    grave = ["above", "not decided"]
+    grave = {"above": 0, "not decided": 1}
 
     def gravity(record: LimitVerdict) -> tuple[int, float]:
-        ratio = record.level / record.value if is_number(record.level) else 0.0
-        return grave.index(record.verdict) if record.verdict in grave else len(grave), -ratio
+        return grave.get(record.verdict, 2), -record.level / record.value if is_number(record.level) else 0.0
 
     records = [record for record in findings.limits if verdict in (None, record.verdict)]
     return [_limit_sentence(record) for record in sorted(records, key=gravity)]
 
 
 def _limit_sentence(record: LimitVerdict) -> str:
-    what = f"The {record.quantity}"
-    if record.band_hz is not None:
-        what = f"The r.m.s. {record.quantity} ({band_of(record.band_hz, None)})"
+    unit, band = unit_text(record.unit), record.band_hz
+    what = f"The {record.quantity}" if band is None else f"The r.m.s. {record.quantity} ({band_of(band, None)})"
     what += f" of {short(record.channel)}" if record.channel else ""
-    unit = unit_text(record.unit)
     limit = f"{with_interval(record.value, None, unit=unit)} ({named(record.source, limit=2 * NAME_CHARACTERS)})"
     level = estimate_text(record, "level", unit=unit) + at_speed(record.speed_rpm)
     if record.verdict == "not decided":
@@ -291,6 +277,5 @@ def _limit_sentence(record: LimitVerdict) -> str:
 def band_of(band_hz: tuple[float | None, float | None], reached_hz: float | None) -> str:
     """``band_hz`` as "10 Hz to 1000 Hz", with its end at ``reached_hz`` where the recorder reaches no further."""
     low, high = band_hz
-    if is_number(reached_hz) and is_number(high) and reached_hz < high:
-        return f"{low:g} Hz to {reached_hz:.4g} Hz, as far as recorded"
-    return f"{low:g} Hz to {high:g} Hz"
+    is_cut = is_number(reached_hz) and is_number(high) and reached_hz < high
+    return f"{low:g} Hz to " + (f"{reached_hz:.4g} Hz, as far as recorded" if is_cut else f"{high:g} Hz")

@@ -191,12 +191,8 @@ def _quality_sentences(findings: Findings) -> list[str]:
     sentences = sentences or ["No recording was found faulty or suspect."]
     jumps = [flag for flag in findings.quality if flag.flag == "level_jump" and flag.left_out]
     for is_open, why in ((False, "its gain was changed"), (True, f"gains differ, and nothing tells {WHICH_IS_RIGHT}")):
-        changed = [
-            f"{short(jump.channel)} of {short(jump.recording)}"
-            for jump in jumps
-            if (WHICH_IS_RIGHT in jump.detail) == is_open
-        ]
-        if changed:
+        own = [jump for jump in jumps if (WHICH_IS_RIGHT in jump.detail) == is_open]
+        if changed := [f"{short(jump.channel)} of {short(jump.recording)}" for jump in own]:
             more = f" and {len(changed) - _MANY} more" if len(changed) > _MANY else ""
             sentences.append(f"Left out of everything that is said: {', '.join(changed[:_MANY])}{more} ({why}).")
     return sentences
@@ -227,11 +223,8 @@ def _balance_asks(findings: Findings) -> list[str]:
     if leads:
         channels = listed(list(map(short, leads)))
         asks.append(BALANCE if len(leads) == len(strongest) else BALANCE_IN.format(channels=channels))
-    if any(
-        record.kinds == (of_lines.LIKE_UNBALANCE,) and "few speeds" in record.doubts for record in strongest.values()
-    ):
-        asks.append(MORE_SPEEDS)
-    return asks
+    alike = [record for record in strongest.values() if record.kinds == (of_lines.LIKE_UNBALANCE,)]
+    return asks + [MORE_SPEEDS] * any("few speeds" in record.doubts for record in alike)
 
 
 def _repeat_sentences(findings: Findings) -> list[str]:
@@ -266,9 +259,7 @@ def law_sentences(findings: Findings) -> list[str]:
         exponent = estimate_text(first, "speed_exponent")
         sentences.append(f"Order 1 does not grow as unbalance does: it goes with speed to the {exponent}.")
     if met:
-        shaped = [
-            f"{frequency_text(mode_hz)} Hz shapes order {listed(names)}" for mode_hz, names in sorted(met.items())
-        ]
+        shaped = [f"{frequency_text(hertz)} Hz shapes order {listed(names)}" for hertz, names in sorted(met.items())]
         more = " and others" * (len(shaped) > _SHOWN)
         sentences.append(f"Natural frequencies shape orders: {', '.join(shaped[:_SHOWN])}{more}.")
     if half:
