@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,13 +121,9 @@ def _check(engine: Engine, max_order: int, speeds: Sequence[float]) -> None:
         raise RequestError("no such balance sheet", found=f"order {max_order}, speeds {speeds} rpm", allowed=allowed)
     highest = max(engine.shafts.every_order, default=0)
     if highest > max_order:
-        problem, remedy = (
-            "the engine has shafts beyond the highest order of the tables",
-            f"Ask for --max-order {highest}",
-        )
-        raise RequestError(
-            problem, place="shafts", found=f"order {highest}", allowed=f"up to {max_order}", remedy=remedy
-        )
+        problem, found = "the engine has shafts beyond the highest order of the tables", f"order {highest}"
+        allowed, remedy = f"up to {max_order}", f"Ask for --max-order {highest}"
+        raise RequestError(problem, place="shafts", found=found, allowed=allowed, remedy=remedy)
 
 
 def _left(engine: Engine, max_order: int) -> Sheet:
@@ -350,10 +346,8 @@ def _rod(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet | None:
     cut, scale = splits.cut, splits.scale
     radius_mm, length_mm = engine.crank_radius_m * 1e3, engine.rod_length_m * 1e3
     deficit, excess = scale.big_end_g - cut.big_end_g, cut.small_end_g - scale.small_end_g
-    across, second = (
-        deficit * radius_mm,
-        excess * radius_mm * float(abs(acceleration_harmonics(engine.mechanism, 2)[2])),
-    )
+    across = deficit * radius_mm
+    second = excess * radius_mm * float(abs(acceleration_harmonics(engine.mechanism, 2)[2]))
     return {
         "methods": {name: split.model_dump() for name, split in splits.by_method.items()},
         "weighed_whole_g": splits.weighed_whole_g,
@@ -429,11 +423,9 @@ def _reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet |
         return None
     sliding = 1e3 * engine.reciprocating_mass_kg * 1e3 * plain_piston_acceleration(FULL_TURN_REV, engine.mechanism)
     moments, residual, across = {}, {}, 0.0
-    no_piston = Engine(
-        crank_radius_m=engine.crank_radius_m, rod_length_m=engine.rod_length_m, reciprocating_mass_kg=0.0
-    )
-    both: tuple[Series, ...] = ("leading", "exact")
-    for series in both:
+    radius_m, length_m = engine.crank_radius_m, engine.rod_length_m
+    no_piston = Engine(crank_radius_m=radius_m, rod_length_m=length_m, reciprocating_mass_kg=0.0)
+    for series in get_args(Series)[::-1]:
         moments[series] = {str(k): size for k, size in weight_moments(engine, second=series).items()}
         wheels = weighted_wheels(train, engine, second=series)
         turning = no_piston.model_copy(update={"shafts": BalanceShafts(single=tuple(wheels.values()))})

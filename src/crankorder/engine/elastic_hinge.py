@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
@@ -438,6 +439,9 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
         shaking = [0.0, 0.0]
     by_key = {str(round(speed, 6)): speed for speed in speeds}
     works = {"pin": pin_hinge_work, "strut": strut_hinge_work}
+    cut_for = {"designed_speed_rpm": speeds[0]}  # the guides
+    others = product(JOINTS, speeds[1:])
+    springs = [_solution(air_spring, crank, curve, joint=joint, speed_rpm=rpm, **cut_for) for joint, rpm in others]
     stated = zip(JOINTS, (data.pin_guides, data.strut_guides), strict=True)
     return {
         "name": data.name,
@@ -457,16 +461,7 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
         },
         "solutions": _solutions(crank, curve),
         "characteristic": {joint: _characteristic(crank, curve, joint, max(speeds)) for joint in JOINTS},
-        "air_spring": [
-            spring
-            for joint in JOINTS
-            for speed in speeds[1:]  # the guides are cut for the first
-            if (
-                spring := _solution(
-                    air_spring, crank, curve, joint=joint, designed_speed_rpm=speeds[0], speed_rpm=speed
-                )
-            )
-        ],
+        "air_spring": [spring for spring in springs if spring is not None],
         "guides": {
             joint: None if guides is None else _guides(crank, curve, joint, max(speeds), guides)
             for joint, guides in stated

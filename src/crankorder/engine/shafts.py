@@ -193,13 +193,8 @@ def tolerance_study(train: GearTrain, engine: Engine, tolerances: GearTolerances
     driven = [gear.name for gear in train.gears if gear.driven_by is not None]
     errors = gear_errors_deg(train, {name: tolerances.mesh_deg * chance.standard_normal(size) for name in driven})
     wheels = weighted_wheels(train, engine)
-    along, across, couple = (
-        {
-            f"{order}": np.zeros(size, dtype=np.complex128)
-            for order in sorted({abs(w.speed_ratio) for w in wheels.values()})
-        }
-        for _ in range(3)
-    )
+    orders = [f"{order}" for order in sorted({abs(wheel.speed_ratio) for wheel in wheels.values()})]
+    along, across, couple = ({order: np.zeros(size, dtype=np.complex128) for order in orders} for _ in range(3))
     for name, wheel in wheels.items():
         order, sense = f"{abs(wheel.speed_ratio)}", math.copysign(1, wheel.speed_ratio)
         turned = np.exp(1j * np.radians(np.asarray(errors[name])))
@@ -208,11 +203,9 @@ def tolerance_study(train: GearTrain, engine: Engine, tolerances: GearTolerances
         arm = 1e3 * complex(wheel.z_m, wheel.x_m) + shift
         force = -(wheel.speed_ratio**2) * wheel.weights[0].unbalance_g_mm
         # complex amplitudes of cos(order φ): what turns against the crank enters by its conjugate
-        wrong, acting, lever = (
-            (faulty - 1, faulty, arm.conj()) if sense > 0 else ((faulty - 1).conj(), faulty.conj(), arm)
-        )
-        along[order] += force * wrong
-        across[order] += sense * force * wrong
+        acting, lever = (faulty, arm.conj()) if sense > 0 else (faulty.conj(), arm)
+        along[order] += force * (acting - 1)
+        across[order] += sense * force * (acting - 1)
         couple[order] -= 1j * sense * lever * force * acting
     left = {"along_g_mm": along, "across_g_mm": across, "couple_g_mm2": couple}
     return {what: {order: np.abs(size) for order, size in sizes.items()} for what, sizes in left.items()}

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -180,20 +179,17 @@ def _integrated(scene: Scene, run: Run, sources: list[tuple[ForceLines, Motion]]
     """
     delay_s = scene.by_channel(scene.acquisition.delay_s)
     poles, rate_hz = poles_of(scene.structure, scene.filter), scene.rate_hz(run.speed_rpm)
-
-    def late_by(delay: float) -> Floats:
-        return driven_signal(
-            poles.seen_by(np.flatnonzero(delay_s == delay)),
+    signal = np.empty((len(scene.channels), scene.n_samples))
+    for delay in sorted(set(delay_s.tolist())):
+        late = np.flatnonzero(delay_s == delay)
+        signal[late] = driven_signal(
+            poles.seen_by(late),
             [(forces, motion.begun_earlier(delay)) for forces, motion in sources],
             rate_hz=rate_hz,
             n_samples=scene.n_samples,
             gain_of_cycle=gain_of_cycle(scene, run),
             revs_per_cycle=scene.engine.revs_per_cycle,
         )
-
-    signal = np.empty((len(scene.channels), scene.n_samples))
-    for delay in sorted(set(delay_s.tolist())):
-        signal[delay_s == delay] = late_by(delay)
     return signal
 
 
@@ -216,12 +212,10 @@ def sensed(scene: Scene, run: Run, floor: Floor) -> Floats:
     if scene.broadband or scene.sensor_noise or scene.coloured_noise:
         noise = noise_signal(scene, run, floor)  # first: its transforms take the most memory
     signal = order_signal(scene, run, motion)
-    if scene.bearing_lines:
-        signal += bearing_signal(scene, run, motion)
-    if scene.tones:
-        signal += tone_signal(scene, run, motion)
-    if scene.bearing_impacts:
-        signal += impact_signal(scene, run, motion)
+    effects = {"bearing_lines": bearing_signal, "tones": tone_signal, "bearing_impacts": impact_signal}
+    for asked, effect in effects.items():
+        if getattr(scene, asked):
+            signal += effect(scene, run, motion)
     if noise is not None:
         signal += noise
     return signal
@@ -317,7 +311,7 @@ def with_signal_faults(
             chance = seed_stream(seed, "signal_faults", str(number), stream, name)
             peak = float(np.max(np.abs(clean), where=np.isfinite(clean), initial=0.0))
             channel = _Channel(samples=samples, peak=peak, rate_hz=rate_hz, stream=chance, limits=limits)
-            marks.append((name, _apply(fault, channel)))
+            marks.append((name, _FAULTS[fault.kind](fault, channel)))
     return faulty, [_record(mark, name, recording, rate_hz) for name, mark in marks]
 
 
@@ -385,12 +379,6 @@ def _record(mark: _Mark, name: str, recording: str, rate_hz: float) -> dict[str,
     return {**record, **mark.more}
 
 
-@singledispatch
-def _apply(fault: parts.SignalFault, channel: _Channel) -> _Mark:
-    raise TypeError(f"no such fault: {type(fault).__name__}")
-
-
-@_apply.register
 def _clip(fault: parts.Clipping, channel: _Channel) -> _Mark:
     level = fault.of_peak * channel.peak
     beyond = np.abs(channel.samples) > level
@@ -405,7 +393,6 @@ def _clip(fault: parts.Clipping, channel: _Channel) -> _Mark:
     )
 
 
-@_apply.register
 def _overload(fault: parts.IepeOverload, channel: _Channel) -> _Mark:
     at = channel.span(fault.at_s, math.inf)
     step = fault.times_peak * channel.peak
@@ -415,7 +402,6 @@ def _overload(fault: parts.IepeOverload, channel: _Channel) -> _Mark:
     return _Mark(flag=fault.kind, severity="bad", detail=detail, at=at, more=more)
 
 
-@_apply.register
 def _lose(fault: parts.NotANumber, channel: _Channel) -> _Mark:
     at = channel.span(fault.at_s, fault.duration_s)
     channel.samples[at] = np.nan
@@ -426,7 +412,6 @@ def _lose(fault: parts.NotANumber, channel: _Channel) -> _Mark:
     return _Mark(flag=flag, severity="suspect" if at.size <= most else "bad", detail=detail, at=at)
 
 
-@_apply.register
 def _spike(fault: parts.Spikes, channel: _Channel) -> _Mark:
     at = np.sort(channel.stream.choice(channel.samples.size, size=fault.count, replace=False))
     value = fault.times_peak * channel.peak
@@ -435,7 +420,6 @@ def _spike(fault: parts.Spikes, channel: _Channel) -> _Mark:
     return _Mark(flag=fault.kind, severity="suspect", detail=detail, at=at, more={"value_m_s2": value})
 
 
-@_apply.register
 def _drift(fault: parts.Drift, channel: _Channel) -> _Mark:
     n = channel.samples.size
     channel.samples[:] += np.linspace(fault.offset_m_s2, fault.offset_m_s2 + fault.drift_m_s2, n)
@@ -444,7 +428,6 @@ def _drift(fault: parts.Drift, channel: _Channel) -> _Mark:
     return _Mark(flag=fault.kind, severity="info", detail=detail, at=np.arange(n), more=more)
 
 
-@_apply.register
 def _drop(fault: parts.DroppedSamples, channel: _Channel) -> _Mark:
     samples, first = channel.samples, int(channel.span(fault.at_s, 0.0)[0])
     last = samples[-1]
@@ -455,7 +438,6 @@ def _drop(fault: parts.DroppedSamples, channel: _Channel) -> _Mark:
     return _Mark(flag=fault.kind, severity="bad", detail=detail, at=at, more={"dropped": fault.count})
 
 
-@_apply.register
 def _zero(fault: parts.Dropout, channel: _Channel) -> _Mark:
     at = channel.span(fault.at_s, fault.duration_s)
     channel.samples[at] = 0.0
@@ -463,3 +445,9 @@ def _zero(fault: parts.Dropout, channel: _Channel) -> _Mark:
     found &= at.size >= channel.limits.dropout_fraction * channel.samples.size
     detail = f"zero for {at.size} samples from {fault.at_s:g} s"
     return _Mark(flag=fault.kind, severity="bad" if found else "suspect", detail=detail, at=at)
+
+
+_FAULTS: Mapping[str, Callable[..., _Mark]] = {
+    "clipping": _clip, "iepe_overload": _overload, "not_a_number": _lose, "spikes": _spike, "drift": _drift,
+    "dropped_samples": _drop, "dropout": _zero,
+}  # fmt: skip
