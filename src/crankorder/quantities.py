@@ -89,12 +89,8 @@ VibrationLevels = NewType("VibrationLevels", xr.Dataset)
 OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 """Amplitude and phase of every channel at named orders, by speed: how the measured points move together."""
 
-"""What the test says: orders, modes, crossings, bearings, lines, each with a 95 % interval and evidence."""
-
 Truth = NewType("Truth", dict[str, Json])
 """What was put into a synthetic test, in the words of the findings."""
-
-"""Order frames by the angle that the encoder shows, swings and all."""
 
 SCHEMAS: dict[Any, str] = {
     Recording: "recording",

@@ -14,26 +14,9 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.engine import balancing
 from crankorder.engine.balance_data import BalancedEngine, GearTolerances, GearTrain, ShaftPairParts, UnbalanceClass
-from crankorder.engine.balancing import (
-    POSSIBILITIES,
-    SHAFTS,
-    STRATEGIES,
-    Possibility,
-    Strategy,
-    by_axis,
-    counterweights,
-    degrees_of,
-    designs_for,
-    forces_of,
-    moments_of,
-    polar_diagram,
-    primary_shares,
-    rod_counterweight_couple,
-    roll_height_m,
-    systems,
-    throw_counterweights,
-)
+from crankorder.engine.balancing import POSSIBILITIES, STRATEGIES, Possibility, Strategy
 from crankorder.engine.cycle_tables import cycle_balance
 from crankorder.engine.definition import BalanceShafts, Engine, Weight
 from crankorder.engine.forces import Amounts, newton, speed_key
@@ -73,7 +56,7 @@ def balance_sheet(subject: BalancedEngine, *, max_order: int = 8, speeds_rpm: Se
     """
     speeds = tuple(float(speed) for speed in (subject.balance.speeds_rpm if speeds_rpm is None else speeds_rpm))
     _check(subject.engine, max_order, speeds)
-    engine, data, single, ways = subject.engine, subject.balance, subject.is_single, systems(subject)
+    engine, data, single, ways = subject.engine, subject.balance, subject.is_single, balancing.systems(subject)
     plain = ways["none"]
     left = {name: _left(way, max_order) for name, way in ways.items()}
     force, moment = left["none"]["residual_g_mm"], left["none"]["residual_moment_g_mm2"]
@@ -95,7 +78,7 @@ def balance_sheet(subject: BalancedEngine, *, max_order: int = 8, speeds_rpm: Se
         "force_g_mm": force,
         "force_phase_deg": left["none"]["residual_phase_deg"],
         "moment_g_mm2": moment,
-        "moment_phase_deg": moments_of(engine.bare, max_order, degrees_of),
+        "moment_phase_deg": balancing.moments_of(engine.bare, max_order, balancing.degrees_of),
         "leading_g_mm": _leading(plain, max_order) if single and not engine.offset_m else None,
         "force_n": {
             speed_key(speed): {axis: amounts and _newtons(amounts, speed) for axis, amounts in force.items()}
@@ -128,11 +111,11 @@ def _check(engine: Engine, max_order: int, speeds: Sequence[float]) -> None:
 
 def _left(engine: Engine, max_order: int) -> Sheet:
     """Force and moment of ``engine`` by axis and order: what a way of balancing leaves."""
-    forces = forces_of(engine, max_order)
+    forces = balancing.forces_of(engine, max_order)
     return {
-        "residual_g_mm": by_axis(forces),
-        "residual_phase_deg": by_axis(forces, degrees_of),
-        "residual_moment_g_mm2": moments_of(engine, max_order),
+        "residual_g_mm": balancing.by_axis(forces),
+        "residual_phase_deg": balancing.by_axis(forces, balancing.degrees_of),
+        "residual_moment_g_mm2": balancing.moments_of(engine, max_order),
     }
 
 
@@ -192,10 +175,11 @@ def _strategy(subject: BalancedEngine, ways: dict[str, Engine], name: Strategy, 
     if name not in ways:
         return None
     plain, places, couple = ways["none"], subject.balance.places, None
-    added = counterweights(plain, name, places)
-    first, *higher = forces_of(ways[name], max_order)
+    added = balancing.counterweights(plain, name, places)
+    first, *higher = balancing.forces_of(ways[name], max_order)
     if places.rod_mm is not None and name == "d" and not plain.offset_m:
-        couple = float(np.abs(rod_counterweight_couple(plain, added.rod_g, places.rod_mm, FULL_TURN_REV)).max())
+        course = balancing.rod_counterweight_couple(plain, added.rod_g, places.rod_mm, FULL_TURN_REV)
+        couple = float(np.abs(course).max())
     return {
         "counterweight_g": added.crank_g,
         "counterweight_deg": added.crank_deg,
@@ -204,7 +188,7 @@ def _strategy(subject: BalancedEngine, ways: dict[str, Engine], name: Strategy, 
         "residual_x_g_mm": abs(first.x_g_mm),
         "residual_y_g_mm": abs(first.y_g_mm),
         "rotation": first.rotation,
-        "higher_orders_x_g_mm": by_axis(higher)["x"],
+        "higher_orders_x_g_mm": balancing.by_axis(higher)["x"],
         "couple_g_mm2": couple,
     }
 
@@ -230,7 +214,7 @@ def _shaft_set(engine: Engine, left: Sheet, name: Possibility) -> Sheet:
         for shaft in engine.shafts.single
         for weight in shaft.weights
     ]
-    return {"strategy": SHAFTS[name][0], "shafts": shafts, **left}
+    return {"strategy": balancing.SHAFTS[name][0], "shafts": shafts, **left}
 
 
 def _built_for_ratio(engine: Engine, speeds: Sequence[float]) -> Sheet:
@@ -289,7 +273,7 @@ def _tolerance(subject: BalancedEngine, max_order: int) -> Sheet | None:
     if tolerances is None:
         return None
     own = engine.shafts.every_order
-    designed = {} if own or len(engine.cylinders) == 1 else designs_for(subject)
+    designed = {} if own or len(engine.cylinders) == 1 else balancing.designs_for(subject)
     name, studied = list({"own" if own else "none": engine, **designed}.items())[-1]
     highest = max([max_order, *studied.shafts.every_order])
     return {"of": name, **series_residuals(studied, tolerances, max_order=highest)}
@@ -297,7 +281,7 @@ def _tolerance(subject: BalancedEngine, max_order: int) -> Sheet | None:
 
 def _design(subject: BalancedEngine, ways: dict[str, Engine], left: dict[str, Sheet]) -> Sheet:
     """Crank webs and shafts of every design for several cylinders, and what it leaves."""
-    engine, height = subject.engine, roll_height_m(subject.engine)
+    engine, height = subject.engine, balancing.roll_height_m(subject.engine)
     layouts = {
         name: {
             "webs": _placed(way.webs[len(engine.webs) :]),
@@ -311,8 +295,8 @@ def _design(subject: BalancedEngine, ways: dict[str, Engine], left: dict[str, Sh
     }
     return {
         "planes_mm": [1e3 * place for place in subject.planes_m],
-        "primary_share": primary_shares(engine),
-        "throw_counterweights": _placed(throw_counterweights(engine)),
+        "primary_share": balancing.primary_shares(engine),
+        "throw_counterweights": _placed(balancing.throw_counterweights(engine)),
         "roll_height_mm": None if height is None else 1e3 * height,
         "layouts": layouts,
     }
@@ -429,10 +413,10 @@ def _reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet |
         moments[series] = {str(k): size for k, size in weight_moments(engine, second=series).items()}
         wheels = weighted_wheels(train, engine, second=series)
         turning = no_piston.model_copy(update={"shafts": BalanceShafts(single=tuple(wheels.values()))})
-        force = polar_diagram(forces_of(turning, 2), FULL_TURN_REV)
+        force = balancing.polar_diagram(balancing.forces_of(turning, 2), FULL_TURN_REV)
         residual[series], across = float(np.abs(sliding + force.real).max()), float(np.abs(force.imag).max())
     radius = {gear.name: gear.weight_radius_mm or math.inf for gear in train.gears}
-    couple = moments_of(turning, 2)["about_crankshaft"] or {}
+    couple = balancing.moments_of(turning, 2)["about_crankshaft"] or {}
     return {
         "speed_ratios": gear_speed_ratios(train),
         "pair_moments_g_mm": moments,

@@ -23,19 +23,10 @@ from crankorder.errors import EnvironmentFailure, RequestError
 from crankorder.quantities import Attribute, Truth
 from crankorder.records import Json
 from crankorder.settings import shipped
+from crankorder.synth import parts
 from crankorder.synth.lines import crank_forces, fixed_lines, order_lines, slipping_line, strikes_per_rev
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_density, floor_of
-from crankorder.synth.parts import (
-    INDEX,
-    TRACE,
-    BearingImpacts,
-    BearingLine,
-    Channel,
-    Encoder,
-    TimeSampling,
-    WrongLabels,
-)
 from crankorder.synth.recording import SyntheticRecording, synthesise
 from crankorder.synth.scene import SWEEP, Run, Scene
 
@@ -61,7 +52,7 @@ def manifest_text(scene: Scene, engine_name: str, repeat: int = 0) -> str:
     speeds = {f"{run.name}.h5": run.speed_rpm for run in scene.runs}
     recordings: dict[str, object] = {"files": ["rpm_*.h5"] if scene.speeds is not None else list(speeds)}
     sampling: dict[str, object] = {"domain": scene.sampling.domain}
-    if isinstance(scene.sampling, TimeSampling):
+    if isinstance(scene.sampling, parts.TimeSampling):
         sampling["rate_hz"] = scene.sampling.rate_hz
     else:
         sampling |= {"samples_per_rev": scene.sampling.samples_per_rev, "start_deg": 0.0}
@@ -73,13 +64,15 @@ def manifest_text(scene: Scene, engine_name: str, repeat: int = 0) -> str:
         "recordings": recordings,
         "sampling": sampling,
         "channels": [_channel(scene, channel) for channel in scene.channels],
-        "encoder": None if scene.encoder is None else _encoder(scene.encoder, scene.wrong_labels or WrongLabels()),
+        "encoder": None
+        if scene.encoder is None
+        else _encoder(scene.encoder, scene.wrong_labels or parts.WrongLabels()),
         "bearings": bearings,
     }
     return toml_text({key: value for key, value in table.items() if value is not None})
 
 
-def _channel(scene: Scene, channel: Channel) -> dict[str, str]:
+def _channel(scene: Scene, channel: parts.Channel) -> dict[str, str]:
     swapped = (scene.wrong_labels and scene.wrong_labels.swapped) or ()
     labelled = swapped[1 - swapped.index(channel.name)] if channel.name in swapped else channel.name
     source = next(entry.source for entry in scene.channels if entry.name == labelled)
@@ -89,16 +82,16 @@ def _channel(scene: Scene, channel: Channel) -> dict[str, str]:
     return entry | {"direction": channel.direction}
 
 
-def _encoder(encoder: Encoder, labels: WrongLabels) -> dict[str, object]:
+def _encoder(encoder: parts.Encoder, labels: parts.WrongLabels) -> dict[str, object]:
     table: dict[str, object] = {
-        "source": TRACE,
+        "source": parts.TRACE,
         "kind": "square",
         "pulses_per_rev": labels.pulses_per_rev or encoder.pulses_per_rev,
         "missing_teeth": encoder.missing_teeth,
         "ratio": encoder.ratio,
     }
     if encoder.index:
-        table["index"] = INDEX
+        table["index"] = parts.INDEX
     if encoder.index or encoder.missing_teeth or encoder.pulses_per_rev == 1:
         table["index_to_tdc_deg"] = encoder.index_to_tdc_deg
     return table | {"edge": "rising"}
@@ -185,7 +178,7 @@ def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticReco
     ``recording``: the samples.
     """
     axis: dict[str, Attribute]
-    if isinstance(scene.sampling, TimeSampling):
+    if isinstance(scene.sampling, parts.TimeSampling):
         axis = {"rate_hz": scene.sampling.rate_hz}
         stated = {} if scene.speeds is None else {"speed_rpm": run.speed_rpm}
     else:
@@ -196,8 +189,8 @@ def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticReco
     for channel, samples in zip(scene.channels, recording.recorded.samples, strict=True):
         columns[channel.source] = samples, {"unit": recording.recorded.unit, **packing, **axis}
     if recording.encoder is not None:
-        columns[TRACE] = recording.encoder.trace, {"unit": "V", **axis}
-        columns[INDEX] = recording.encoder.index, {"unit": "1", **axis}
+        columns[parts.TRACE] = recording.encoder.trace, {"unit": "V", **axis}
+        columns[parts.INDEX] = recording.encoder.index, {"unit": "1", **axis}
     with h5py.File(path, "x", libver=("v110", "v110")) as file:
         for source, (values, attrs) in columns.items():
             if values is not None:
@@ -216,7 +209,9 @@ def _write_recordings(
     """Write every recording of every repeat; what was made faulty in each repeat, and where."""
     runs = [run for repeat in range(len(folders)) for run in scene.runs_of(repeat)]
     # one floor for all where the rate is one; by crank angle every speed has its own, and all at once would be too many
-    shared = floor_of(scene, scene.rate_hz(runs[0].speed_rpm)) if isinstance(scene.sampling, TimeSampling) else None
+    shared = (
+        floor_of(scene, scene.rate_hz(runs[0].speed_rpm)) if isinstance(scene.sampling, parts.TimeSampling) else None
+    )
 
     def write(run: Run) -> list[dict[str, Json]]:
         recording = synthesise(scene, run, shared or floor_of(scene, scene.rate_hz(run.speed_rpm)))
@@ -444,12 +439,12 @@ def _crossings(scene: Scene, run: Run) -> list[dict[str, Json]]:
 def _bearings(scene: Scene, repeat: int) -> list[dict[str, Json]]:
     orders = {bearing.name: bearing_orders(bearing) for bearing in scene.engine.bearings}
     records: list[dict[str, Json]] = []
-    parts: tuple[BearingLine | BearingImpacts, ...] = (*scene.bearing_lines, *scene.bearing_impacts)
-    for line in parts:
-        strikes = isinstance(line, BearingImpacts)
+    both: tuple[parts.BearingLine | parts.BearingImpacts, ...] = (*scene.bearing_lines, *scene.bearing_impacts)
+    for line in both:
+        strikes = isinstance(line, parts.BearingImpacts)
         known = orders[line.bearing]
         expected = strikes_per_rev(known, line.line) if strikes else known[line.line]
-        by_channel = line.peak_m_s2 if isinstance(line, BearingImpacts) else line.amplitude_m_s2
+        by_channel = line.peak_m_s2 if isinstance(line, parts.BearingImpacts) else line.amplitude_m_s2
         grown = {name: value * line.growth**repeat for name, value in by_channel.items()}
         records.append(
             {
@@ -461,7 +456,7 @@ def _bearings(scene: Scene, repeat: int) -> list[dict[str, Json]]:
                 "amplitude_by_channel": grown,
                 "unit": UNIT,
                 "verdict": "strikes" if strikes else "slips" if line.slip_percent else "locked",
-                "resonance_hz": line.resonance_hz if isinstance(line, BearingImpacts) else None,
+                "resonance_hz": line.resonance_hz if isinstance(line, parts.BearingImpacts) else None,
             }
         )
     return records
