@@ -139,8 +139,7 @@ class QualityFlag(TypedDict):
 
 def flags_of(dataset: xr.Dataset) -> list[QualityFlag]:
     """Quality flags that ``dataset`` (any dims) carries, in the order in which they were raised."""
-    flags: list[QualityFlag] = json.loads(dataset.attrs.get("quality", "[]"))
-    return flags
+    return list(json.loads(dataset.attrs.get("quality", "[]")))
 
 
 def with_flags(dataset: xr.Dataset, flags: Iterable[QualityFlag]) -> xr.Dataset:
@@ -176,8 +175,7 @@ def unindexed(**coords: Any) -> xr.Coordinates:
 def schema_of(noun: str) -> Mapping[str, Any]:
     """JSON Schema of a noun or file of ``data_schema/``, by file stem such as ``"order_map"``."""
     text = files("crankorder.data_schema").joinpath(f"{noun}.json").read_text(encoding="utf-8")
-    schema: Mapping[str, Any] = json.loads(text)
-    return schema
+    return dict(json.loads(text))
 
 
 def check_dataset(dataset: xr.Dataset, noun: str) -> None:

@@ -108,13 +108,11 @@ class ReportingProcess:
         The datasets ``groups`` (dims of ``data_schema/``) and the rest are those of :func:`files_of_test` of this
         module. Raises EnvironmentFailure where the process ends meanwhile.
         """
-        files: dict[str, bytes] = self._answer_to("write", groups, findings, provenance, settings)
-        return files
+        return dict(self._answer_to("write", groups, findings, provenance, settings))
 
     def index_page(self, tests: Sequence[Mapping[str, object]]) -> str:
         """HTML list of the ``tests`` of a run, as :func:`crankorder.report.page.index_page` makes it."""
-        page: str = self._answer_to("index", tests)
-        return page
+        return str(self._answer_to("index", tests))
 
     def close(self) -> None:
         """End the process."""

@@ -61,8 +61,7 @@ class Lag:
     def at(self, crank_angle_rev: ArrayLike, speed_rpm: float) -> Floats:
         """Lag (rev) at ``crank_angle_rev`` (any shape) and the mean ``speed_rpm``: mean less crank angle."""
         turned = np.exp(2j * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)[..., None] * self.order)
-        lag: Floats = (turned @ self.by_order(speed_rpm)).real
-        return lag
+        return np.asarray((turned @ self.by_order(speed_rpm)).real)
 
     @cached_property
     def step(self) -> float:

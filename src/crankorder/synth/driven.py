@@ -496,8 +496,7 @@ def _late(
     time_s = following.from_s + late_s * points
     acting = poles.input @ (_forces(turning, time_s, following) - _forces(turning, time_s, law))
     fading = np.exp(np.outer(poles.pole_per_s, late_s * (1 - points)))
-    late: Complexes = late_s * (fading * acting) @ shares
-    return late
+    return np.asarray(late_s * (fading * acting) @ shares)
 
 
 def _steady_past(poles: Poles, turning: Sequence[tuple[ForceLines, Motion]], time_s: float) -> Complexes:

@@ -128,6 +128,10 @@ SHORTEST_STEP = 0.05
 """Of the period between strikes, left by jitter at least (4.75 σ at the most jitter): strikes do not swap places."""
 
 
+HEARD = 1e-16
+"""Share of the size of a strike below which its ringing is no more than round-off."""
+
+
 def slipping_line(order: float, *, slip_percent: float) -> float:
     """Order of a bearing line whose rolling elements slip: order · (1 − slip).
 
@@ -241,15 +245,13 @@ def ringing(
     return signal
 
 
-def ringing_s(
-    resonance_hz: float, damping_ratio: float, *, share: float = 1e-16, filter: AnalogueFilter | None = None
-) -> float:
-    """Time (s) after which a strike rings with less than ``share`` of its size: how far back strikes still count.
+def ringing_s(resonance_hz: float, damping_ratio: float, *, filter: AnalogueFilter | None = None) -> float:
+    """Time (s) after which a strike rings with less than ``HEARD`` of its size: how far back strikes still count.
 
-    ``resonance_hz``, ``damping_ratio``, ``filter``: as for :func:`ringing`. ``share``: between 0 and 1.
+    ``resonance_hz``, ``damping_ratio``, ``filter``: as for :func:`ringing`.
     """
     pole, weight = _poles(resonance_hz, damping_ratio, filter)
-    times = np.log(np.maximum(np.abs(weight) * pole.size / share, 1.0)) / -pole.real
+    times = np.log(np.maximum(np.abs(weight) * pole.size / HEARD, 1.0)) / -pole.real
     return float(times.max())
 
 
@@ -469,8 +471,8 @@ def _injected(scene: Scene, shaft: str | None, ratio: float) -> list[_Force]:
 
 def _stacked(forces: list[_Force]) -> ForceLines:
     """The lines of all ``forces`` as one set of arrays."""
-    kinds = {"order": float, "at_speed_rpm": float, "exponent": float, "inertia": bool, "gas": bool}
-    kinds |= {"acceleration": bool}
+    numbers, marks = ("order", "at_speed_rpm", "exponent"), ("inertia", "gas", "acceleration")
+    kinds = dict.fromkeys(numbers, float) | dict.fromkeys(marks, bool)
     columns = {key: np.array([getattr(force, key) for force in forces], dtype=kind) for key, kind in kinds.items()}
     amplitude = np.array([force.amplitude for force in forces], dtype=np.complex128).reshape(-1, len(AXES)).T
     return ForceLines(**columns, amplitude=amplitude, cause=tuple(force.cause for force in forces))
