@@ -386,7 +386,7 @@ def run(
     if out is not None or manifest is not None:
         problem = "recordings in memory have no manifest and write no file"
         raise RequestError(problem, file="crankorder.run", found="out" if out is not None else "manifest")
-    settings = load_settings(_name(recipe), asked={"orders": {} if tol is None else {"tolerance": tol}})
+    settings = load_settings(_name(recipe), asked={"orders": {"tolerance": tol}})
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
     recordings: Any = tests
     groups, findings = _analysed(recordings, settings, tables=tables, engine=engine, test=test, strict=strict)
@@ -504,10 +504,7 @@ def synthesise(scene: str, out: str | os.PathLike[str], *, quick: bool = False) 
 
 def _settings(*results: str, recipe: str | None, **stages: Mapping[str, Any]) -> Settings:
     """Settings of ``recipe`` that ask for ``results``, with what was given (not None) of each of ``stages``."""
-    asked = {
-        stage: {key: _plain(value) for key, value in table.items() if value is not None}
-        for stage, table in stages.items()
-    }
+    asked = {stage: {key: _plain(value) for key, value in table.items()} for stage, table in stages.items()}
     return load_settings(_name(recipe), asked={**asked, "report": {"results": results}})
 
 

@@ -187,11 +187,8 @@ def plan_tests(
     Raises RequestError where several tests are given one name. Where no folder can be run, or results would lie where
     they must not, raises the fault, or ManyErrors with those of all folders; nothing has been written then.
     """
-    asked = {
-        "orders": {} if tolerance is None else {"tolerance": tolerance},
-        "report": report or {},
-        "ingest": {} if max_memory_mb is None else {"in_memory_bytes": max_memory_mb * 1_000_000},
-    }
+    in_memory = {"in_memory_bytes": None if max_memory_mb is None else max_memory_mb * 1_000_000}
+    asked = {"orders": {"tolerance": tolerance}, "report": report or {}, "ingest": in_memory}
     folders = list({folder.resolve(): folder for folder in folders}.values())
     if name is not None and len(folders) > 1:
         raise RequestError("one name for several tests", file="--name", found=name, remedy="Run each test by itself")

@@ -204,13 +204,10 @@ def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
         settings = ReportSettings.model_validate(stated)
         files = files_of_test(groups, findings, provenance, settings)
         kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
-        timings = (
-            {result_folder.TIMINGS: (folder / result_folder.TIMINGS).read_bytes()}
-            if (folder / result_folder.TIMINGS).is_file()
-            else {}
-        )
+        timings = folder / result_folder.TIMINGS
+        besides = {timings.name: timings.read_bytes()} if timings.is_file() else {}
         result_folder.publish(
-            folder, files | kept, key=marker.key, owner=marker.input, record=marker.record, besides=timings
+            folder, files | kept, key=marker.key, owner=marker.input, record=marker.record, besides=besides
         )
         return folder / "report.html"
 

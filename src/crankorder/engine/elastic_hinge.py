@@ -340,19 +340,14 @@ def air_spring(
     crank_angle_rev, weight = branch_quadrature(crank, torque)
     if joint == "pin":
         weight = weight * rod_motion(crank_angle_rev, crank).hinge_rate
-    designed, needed = (
-        _spring_moment(crank_angle_rev, crank, torque, joint=joint, speed_rpm=speed)
-        for speed in (designed_speed_rpm, speed_rpm)
-    )
+    both = (designed_speed_rpm, speed_rpm)
+    designed, needed = (_spring_moment(crank_angle_rev, crank, torque, joint=joint, speed_rpm=rpm) for rpm in both)
     strength = float(weight @ designed**2)
     if strength == 0:
         raise RequestError("guides without a moment cannot be scaled to another speed", found=designed_speed_rpm)
     ratio = float(weight @ (designed * needed)) / strength
     residual_rms = float(np.sqrt(weight @ (needed - ratio * designed) ** 2))
-    tables = [
-        hinge_table(crank, torque, joint=joint, speed_rpm=speed, n_steps=_SWING_STEPS)
-        for speed in (designed_speed_rpm, speed_rpm)
-    ]
+    tables = [hinge_table(crank, torque, joint=joint, speed_rpm=rpm, n_steps=_SWING_STEPS) for rpm in both]
     swing = float(np.ptp(tables[1].work_j - ratio * tables[0].work_j))
     energy = float(np.mean(reduced_inertia(tables[0].crank_angle_rev[:-1], crank))) * (speed_rpm * np.pi / 30) ** 2
     needed_rms = float(np.sqrt(weight @ needed**2))
