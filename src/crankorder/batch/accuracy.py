@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -110,8 +110,10 @@ def speed_against_error() -> Iterator[dict[str, Any]]:
     ]
     per_rev = np.arange(round(float(_turns(np.array(SECONDS))) * PULSES)) / PULSES
     one = TwinRecording("speed", np.array(signals), _times(per_rev), _times(np.arange(per_rev[-1])), SPEED_RPM)
-    channels = [{"name": name, "source": place, "unit": "m/s2"} for place, name in enumerate("XYZ")]
-    recording = _recording(one, channels, "four-stroke", RATE_HZ, PULSES, load_settings())
+    nothing, channels = xr.Dataset(), {"channel": list("XYZ"), "unit": ("channel", ["m/s2"] * 3)}
+    tracks = xr.Dataset(coords=channels)
+    twin = Twin(tracks, nothing, nothing, nothing, RATE_HZ, PULSES, 0.0, cycle="four-stroke")
+    recording = _recording(twin, one)
     wanted = np.array(list(LINES.values())) * np.exp(1j * phases)
     for tolerance in TOLERANCES:
         settings = load_settings(asked={"report": {"results": ("order_map",)}, "orders": {"tolerance": tolerance}})
@@ -192,11 +194,7 @@ def _draw(twin: Twin, number: int) -> _Draw:
     rng = np.random.default_rng([number, 18])
     probes = probe_orders(twin)
     amplitudes = probe_amplitudes(twin, rng, len(probes))
-    channels = [{"name": name, "source": place, "unit": unit} for place, (name, unit) in enumerate(twin.channels)]
-    recordings = [
-        _recording(recording, channels, twin.cycle, twin.rate_hz, twin.pulses_per_rev, twin.settings)
-        for recording in twin_recordings(twin, probes, amplitudes, rng)
-    ]
+    recordings = [_recording(twin, made) for made in twin_recordings(twin, probes, amplitudes, rng)]
     engine = twin.engine
     try:
         engine_of(engine)
@@ -206,25 +204,19 @@ def _draw(twin: Twin, number: int) -> _Draw:
     return _Draw(groups["order_tracks"], findings, probes, amplitudes)
 
 
-def _recording(
-    twin: TwinRecording,
-    channels: Sequence[Mapping[str, object]],
-    cycle: str,
-    rate_hz: float,
-    pulses_per_rev: int,
-    settings: Settings,
-) -> xr.Dataset:
-    """Recording of a twin, checked as that of a file is."""
-    columns: dict[str | int, Floats] = dict(enumerate(twin.signals))
-    encoder: dict[str, object] = {"kind": "constant", "speed_rpm": twin.speed_rpm}
-    if pulses_per_rev:
-        columns |= {len(channels): twin.pulse_times_s, len(channels) + 1: twin.mark_times_s}
+def _recording(twin: Twin, made: TwinRecording) -> xr.Dataset:
+    """The recording ``made`` of a ``twin``, checked as that of a file is."""
+    channels = [{"name": name, "source": place, "unit": unit} for place, (name, unit) in enumerate(twin.channels)]
+    columns: dict[str | int, Floats] = dict(enumerate(made.signals))
+    encoder: dict[str, object] = {"kind": "constant", "speed_rpm": made.speed_rpm}
+    if twin.pulses_per_rev:
+        columns |= {len(channels): made.pulse_times_s, len(channels) + 1: made.mark_times_s}
         encoder = {"kind": "pulse_times", "source": len(channels), "index": len(channels) + 1, "index_to_tdc_deg": 0.0}
-        encoder |= {"pulses_per_rev": pulses_per_rev}
-    head = manifest_head("twin", cycle, channels)
-    manifest = manifest_of({**head, "sampling": {"rate_hz": rate_hz}, "encoder": encoder}, Path("twin"))
-    raw = RawFile(columns, attrs={"start_s": 0.0})
-    return recording_of(raw, Path(twin.name), manifest, settings=settings.ingest, shaft=settings.shaft)
+        encoder |= {"pulses_per_rev": twin.pulses_per_rev}
+    head = manifest_head("twin", twin.cycle, channels)
+    manifest = manifest_of({**head, "sampling": {"rate_hz": twin.rate_hz}, "encoder": encoder}, Path("twin"))
+    raw, settings = RawFile(columns, attrs={"start_s": 0.0}), twin.settings
+    return recording_of(raw, Path(made.name), manifest, settings=settings.ingest, shaft=settings.shaft)
 
 
 def _judged(twin: Twin, test: str, draws: list[_Draw]) -> TwinAccuracy:
