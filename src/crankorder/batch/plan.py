@@ -108,10 +108,8 @@ class Outcome:
 
         folder = self.plan.out.name
         failed = [{"recording": self.plan.name_of(Path(fault.file)), "error": str(fault)} for fault in self.faults]
-        failed += [
-            {"recording": "", "error": f"internal fault: {type(error).__name__}: {printable(error)}"}
-            for error in self.internal
-        ]
+        internal = (f"internal fault: {type(error).__name__}: {printable(error)}" for error in self.internal)
+        failed += [{"recording": "", "error": error} for error in internal]
         return {
             "name": self.plan.name,
             "status": self.status,
@@ -334,9 +332,8 @@ def publish_index(
         try:
             now = {outcome.plan.out.name: outcome.record for outcome in outcomes if outcome.status == "failed"}
             done = {outcome.plan.out.name for outcome in outcomes} - set(now)
-            records = {
-                folder.name: marker.record for folder, marker in result_folder.finished_tests(out) if marker.record
-            }
+            finished = result_folder.finished_tests(out)
+            records = {folder.name: marker.record for folder, marker in finished if marker.record}
             failed = [record for record in result_folder.records_in(out) or [] if record["status"] == "failed"]
             records |= {str(record["folder"]): record for record in failed if record["folder"] not in done} | now
             tests = [records[name] for name in sorted(records, key=lambda name: natural_key(Path(name)))]

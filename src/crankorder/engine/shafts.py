@@ -6,7 +6,7 @@ Source of the first: Ruckle 2014, section 3.1.1, table 2 and figure 12.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, Literal
 
@@ -244,23 +244,20 @@ def series_residuals(engine: Engine, tolerances: BalanceTolerances, *, max_order
     not below any shaft's.
     The residual of an order is the most of a turn: the large half axis of its ellipse.
     """
+
+    def by_order(values: Iterable[Any]) -> dict[str, Any]:
+        return {str(k): value for k, value in enumerate(values, start=1)}
+
     studied = with_single_shafts(engine, max_order)
     late_deg, keys, late = tolerances.mistiming_deg, ("force_g_mm", "couple_g_mm2"), None
     if late_deg is not None and studied.shafts.single:
         sizes = _series_left(studied, BalanceTolerances(samples=100), max_order, late_deg)[:, 0].tolist()
-        late = {
-            "deg": late_deg,
-            "orders": [str(k) for k in sorted({abs(shaft.speed_ratio) for shaft in studied.shafts.single})],
-            **{
-                key: {str(k): size for k, size in enumerate(left, start=1)}
-                for key, left in zip(keys, sizes, strict=True)
-            },
-        }
+        orders = [str(k) for k in sorted({abs(shaft.speed_ratio) for shaft in studied.shafts.single})]
+        left = {key: by_order(of_key) for key, of_key in zip(keys, sizes, strict=True)}
+        late = {"deg": late_deg, "orders": orders, **left}
     shares = np.quantile(_series_left(studied, tolerances, max_order), list(QUANTILES.values()), axis=1)
-    spreads = {
-        key: {str(k): dict(zip(QUANTILES, by_share, strict=True)) for k, by_share in enumerate(left, start=1)}
-        for key, left in zip(keys, shares.transpose(1, 2, 0).tolist(), strict=True)
-    }
+    by_key = zip(keys, shares.transpose(1, 2, 0).tolist(), strict=True)
+    spreads = {key: by_order(dict(zip(QUANTILES, one, strict=True)) for one in of_key) for key, of_key in by_key}
     return {"samples": tolerances.samples, "seed": tolerances.seed, **spreads, "mistiming": late}
 
 

@@ -19,7 +19,7 @@ from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.synth.driven import ForceLines, lines_in_angle, lines_in_time
 from crankorder.synth.motion import Motion, wander_wobbles
 from crankorder.synth.noise import seed_stream
-from crankorder.synth.parts import AXES, OtherShaft, SpeedOrder, TimeSampling
+from crankorder.synth.parts import AXES, Axis, OtherShaft, SpeedOrder, TimeSampling
 from crankorder.synth.poles import POLES_APART, AnalogueFilter, accelerance
 from crankorder.synth.scene import Run, Scene
 
@@ -447,13 +447,8 @@ def _gas(scene: Scene) -> list[_Force]:
         return []
     highest = scene.gas_torque.highest_order
     order, torque = gas_torque_by_order(scene.engine, int(np.ceil(highest)))
-    forces = []
-    for value, size in zip(order, torque, strict=True):
-        if 0 < value <= highest:
-            acts = np.zeros(len(AXES), dtype=np.complex128)
-            acts[AXES.index("RY")] = -size
-            forces.append(_Force(float(value), acts, "combustion", exponent=0.0, gas=True))
-    return forces
+    lines = [(float(value), _along("RY", -size)) for value, size in zip(order, torque, strict=True)]
+    return [_Force(*line, "combustion", exponent=0.0, gas=True) for line in lines if 0 < line[0] <= highest]
 
 
 def _injected(scene: Scene, shaft: str | None, ratio: float) -> list[_Force]:
@@ -461,12 +456,17 @@ def _injected(scene: Scene, shaft: str | None, ratio: float) -> list[_Force]:
     forces = []
     for injected in scene.injected_orders:
         if injected.shaft == shaft:
-            acts = np.zeros(len(AXES), dtype=np.complex128)
-            acts[AXES.index(injected.direction)] = injected.force_n * np.exp(1j * np.radians(injected.phase_deg))
+            acts = _along(injected.direction, injected.force_n * np.exp(1j * np.radians(injected.phase_deg)))
             at_rpm = injected.at_speed_rpm / ratio
             cause, exponent = injected.cause, injected.speed_exponent
             forces.append(_Force(injected.order * ratio, acts, cause, at_speed_rpm=at_rpm, exponent=exponent))
     return forces
+
+
+def _along(axis: Axis, size: complex) -> Complexes:
+    acts = np.zeros(len(AXES), dtype=np.complex128)
+    acts[AXES.index(axis)] = size
+    return acts
 
 
 def _stacked(forces: list[_Force]) -> ForceLines:
