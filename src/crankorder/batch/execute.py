@@ -174,15 +174,15 @@ class _TestRun:
         plan, options = self._plan, self._options
         wanted, copies = _each_once(plan, self._hashes)
         self.outcome.flags += copies
-        engine, store = engine_of_test(plan), FrameStore.of(plan.out)
+        self._engine, store = engine_of_test(plan), FrameStore.of(plan.out)
         hashed = {path: {file: self._hashes[file] for file in plan.files_of(path)} for path in wanted}
         program = text_sha256(self._made_by[0], json.dumps(self._made_by[1], sort_keys=True))
-        keys = [text_sha256(program, *_recording_parts(plan, path, hashed[path], engine)) for path in wanted]
+        keys = [text_sha256(program, *_recording_parts(plan, path, hashed[path], self._engine)) for path in wanted]
         blamed: dict[str, CrankorderError] = {}
         if options.scheduler is not None:
             if options.fresh:
                 store.keep_only(())
-            blamed = self._on_cluster(options.scheduler, dict(zip(keys, wanted, strict=True)), hashed, engine, store)
+            blamed = self._on_cluster(options.scheduler, dict(zip(keys, wanted, strict=True)), hashed, store)
 
         def analyse(number: int) -> Analysed:
             begun, path = time.perf_counter(), wanted[number]
@@ -191,7 +191,7 @@ class _TestRun:
             kept = None if options.fresh and options.scheduler is None else store.load(keys[number])
             if kept is not None:
                 return kept, True, time.perf_counter() - begun
-            result = analyse_recording(path, plan.manifest, plan.settings, engine)
+            result = analyse_recording(path, plan.manifest, plan.settings, self._engine)
             _check_unchanged(hashed[path])
             return store.save(keys[number], PackedResult.of(result)), False, time.perf_counter() - begun
 
@@ -213,12 +213,7 @@ class _TestRun:
         return [results[path] for path in wanted if path in results]
 
     def _on_cluster(
-        self,
-        scheduler: str,
-        wanted: dict[str, Path],
-        hashed: dict[Path, dict[Path, HashedFile]],
-        engine: Engine | None,
-        store: FrameStore,
+        self, scheduler: str, wanted: dict[str, Path], hashed: dict[Path, dict[Path, HashedFile]], store: FrameStore
     ) -> dict[str, CrankorderError]:
         """Have the cluster of the ``scheduler`` fill the ``store`` with the recordings ``wanted``; its faults, by key.
 
@@ -236,7 +231,7 @@ class _TestRun:
         blamed = analyse_on_cluster(
             scheduler,
             tasks,
-            (plan.manifest, plan.settings, engine),
+            (plan.manifest, plan.settings, self._engine),
             made_by=self._made_by,
             store=store,
             progress=lambda done: self._progress and self._progress(plan.name, done, len(tasks)),
@@ -278,7 +273,7 @@ class _TestRun:
     ) -> None:
         """Make maps and findings of ``results`` and publish their files."""
         plan, outcome = self._plan, self.outcome
-        sources = sources_of(plan.manifest, engine_of_test(plan), plan.settings)
+        sources = sources_of(plan.manifest, self._engine, plan.settings)
         groups, findings, left_out = results_of_test(
             results, doubts, test=plan.name, sources=sources, settings=plan.settings, flags=outcome.flags,
             faults=outcome.faults, name_of=plan.name_of,
