@@ -489,16 +489,8 @@ class Findings(Record):
         return _NOT_SOUGHT if self.not_asked_for else ()
 
 
-_NOT_SOUGHT = (
-    "speed_doubt",
-    "free_bands",
-    "energy",
-    "levels",
-    "looked_for",
-    "vibration_levels",
-    "third_octaves",
-    "limits",
-)
+_OF_LEVELS = ("levels", "vibration_levels", "third_octaves", "limits", "energy")
+_NOT_SOUGHT = (*_OF_LEVELS, "speed_doubt", "free_bands", "looked_for")
 
 
 def quality_of(flags: Iterable[Mapping[str, object]]) -> tuple[Quality, ...]:
