@@ -336,13 +336,10 @@ def driven_lines(scene: Scene, forces: ForceLines, speed_rpm: float, lag: Lag | 
         known = _leading_causes(scene, steady, speed_rpm)
         order, force = lines_in_time(forces, lag, speed_rpm=speed_rpm)
         cause = tuple(known.get(value, SIDEBAND) for value in order.tolist())
-    amplitude = np.zeros((len(scene.channels), 0), dtype=np.complex128)
-    if order.size:
-        response = accelerance(scene.structure, order * speed_rpm / 60)
-        if scene.filter is not None:
-            response = response * scene.filter.response(order * speed_rpm / 60)
-        amplitude = np.einsum("cal,al->cl", response, force)
-    return OrderLines(order=order, amplitude=amplitude, cause=cause)
+    response = accelerance(scene.structure, order * speed_rpm / 60)
+    if scene.filter is not None:
+        response = response * scene.filter.response(order * speed_rpm / 60)
+    return OrderLines(order=order, amplitude=np.einsum("cal,al->cl", response, force), cause=cause)
 
 
 def _leading_causes(scene: Scene, forces: ForceLines, speed_rpm: float) -> dict[float, str]:
