@@ -14,21 +14,13 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.engine import balancing
+from crankorder.engine import balancing, shafts
 from crankorder.engine.balance_data import BalancedEngine, GearTolerances, GearTrain, ShaftPairParts, UnbalanceClass
 from crankorder.engine.balancing import POSSIBILITIES, STRATEGIES, Possibility, Strategy
 from crankorder.engine.cycle_tables import cycle_balance
 from crankorder.engine.definition import BalanceShafts, Engine, Weight
 from crankorder.engine.forces import Amounts, newton, speed_key
-from crankorder.engine.shafts import (
-    Series,
-    crankshaft_balance,
-    gear_speed_ratios,
-    series_residuals,
-    tolerance_study,
-    weight_moments,
-    weighted_wheels,
-)
+from crankorder.engine.shafts import Series
 from crankorder.engine.slider_crank import (
     SliderCrank,
     acceleration_harmonics,
@@ -204,7 +196,7 @@ def _shafts(subject: BalancedEngine, ways: dict[str, Engine], left: dict[str, Sh
 
 
 def _shaft_set(engine: Engine, left: Sheet, name: Possibility) -> Sheet:
-    shafts = [
+    weights = [
         {
             "speed_ratio": shaft.speed_ratio,
             "unbalance_g_mm": weight.unbalance_g_mm,
@@ -214,7 +206,7 @@ def _shaft_set(engine: Engine, left: Sheet, name: Possibility) -> Sheet:
         for shaft in engine.shafts.single
         for weight in shaft.weights
     ]
-    return {"strategy": balancing.SHAFTS[name][0], "shafts": shafts, **left}
+    return {"strategy": balancing.SHAFTS[name][0], "shafts": weights, **left}
 
 
 def _built_for_ratio(engine: Engine, speeds: Sequence[float]) -> Sheet:
@@ -276,7 +268,7 @@ def _tolerance(subject: BalancedEngine, max_order: int) -> Sheet | None:
     designed = {} if own or len(engine.cylinders) == 1 else balancing.designs_for(subject)
     name, studied = list({"own" if own else "none": engine, **designed}.items())[-1]
     highest = max([max_order, *studied.shafts.every_order])
-    return {"of": name, **series_residuals(studied, tolerances, max_order=highest)}
+    return {"of": name, **shafts.series_residuals(studied, tolerances, max_order=highest)}
 
 
 def _design(subject: BalancedEngine, ways: dict[str, Engine], left: dict[str, Sheet]) -> Sheet:
@@ -315,7 +307,7 @@ def _crankshaft(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet | Non
     if data is None:
         return None
     big_ends = {} if splits is None else {name: split.big_end_g for name, split in splits.by_method.items()}
-    return crankshaft_balance(data, {speed_key(speed): speed for speed in speeds}, big_ends_g=big_ends)
+    return shafts.crankshaft_balance(data, {speed_key(speed): speed for speed in speeds}, big_ends_g=big_ends)
 
 
 def _rod(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet | None:
@@ -410,15 +402,15 @@ def _reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet |
     radius_m, length_m = engine.crank_radius_m, engine.rod_length_m
     no_piston = Engine(crank_radius_m=radius_m, rod_length_m=length_m, reciprocating_mass_kg=0.0)
     for series in get_args(Series)[::-1]:
-        moments[series] = {str(k): size for k, size in weight_moments(engine, second=series).items()}
-        wheels = weighted_wheels(train, engine, second=series)
+        moments[series] = {str(k): size for k, size in shafts.weight_moments(engine, second=series).items()}
+        wheels = shafts.weighted_wheels(train, engine, second=series)
         turning = no_piston.model_copy(update={"shafts": BalanceShafts(single=tuple(wheels.values()))})
         force = balancing.polar_diagram(balancing.forces_of(turning, 2), FULL_TURN_REV)
         residual[series], across = float(np.abs(sliding + force.real).max()), float(np.abs(force.imag).max())
     radius = {gear.name: gear.weight_radius_mm or math.inf for gear in train.gears}
     couple = balancing.moments_of(turning, 2)["about_crankshaft"] or {}
     return {
-        "speed_ratios": gear_speed_ratios(train),
+        "speed_ratios": shafts.gear_speed_ratios(train),
         "pair_moments_g_mm": moments,
         "weights_g": {name: wheel.weights[0].unbalance_g_mm / radius[name] for name, wheel in wheels.items()},
         "couple_g_mm2": sum(couple.values(), 0.0),
@@ -432,7 +424,7 @@ def _reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet |
 def _gear_errors(train: GearTrain, engine: Engine, tolerances: GearTolerances) -> Sheet:
     """Median and 95 % bound of what sampled gear errors leave, by order."""
     errors: Sheet = {"errors": tolerances.model_dump()}
-    for what, by_order in tolerance_study(train, engine, tolerances).items():
+    for what, by_order in shafts.tolerance_study(train, engine, tolerances).items():
         both = {order: np.quantile(sizes, [0.5, 0.95]).tolist() for order, sizes in by_order.items()}
         errors[what] = {order: {"median": middle, "95 %": high} for order, (middle, high) in both.items()}
     return errors
