@@ -300,16 +300,14 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     from crankorder.report.sentences.story import headline
 
     name = printable(outcome.plan.name)
-    for fault in outcome.faults:
-        click.echo(f"crankorder: {name}: {fault}", err=True)
-    for note in outcome.notes:
-        click.echo(f"crankorder: {name}: {note}", err=True)
+    for said in (*outcome.faults, *outcome.notes):
+        click.echo(f"crankorder: {name}: {said}", err=True)
     alike: dict[str, list[BaseException]] = {}
     for error in outcome.internal:
         alike.setdefault(f"{type(error).__name__}: {error}", []).append(error)
-    for said, errors in alike.items():
+    for error_text, errors in alike.items():
         count = f" ({len(errors)} recordings)" if len(errors) > 1 else ""
-        click.echo(f"crankorder: {name}: internal fault{count}: {printable(said, 1000)}", err=True)
+        click.echo(f"crankorder: {name}: internal fault{count}: {printable(error_text, 1000)}", err=True)
         if verbose:
             click.echo("".join(traceback.format_exception(errors[0])), err=True)
     if quiet:

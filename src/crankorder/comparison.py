@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Literal
 
 from crankorder.findings import TrialBalance
-from crankorder.records import Ends, Interval, Record, said
+from crankorder.records import ABSENT, Ends, Interval, Record, said
 
 SCHEMA_VERSION = 1
 """Of ``comparison.json``."""
@@ -90,11 +90,11 @@ class ModeShift(Record):
 
     only_in: Literal["base", "new"] | None = said("the test that alone shows it (no claim); null where both do")
     frequency_hz: float = said("natural frequency in the first test that shows it")
-    new_frequency_hz: float | None = said("in the second test, where both show it", default=None, left_out=True)
-    shift_hz: float | None = said("second frequency less first", default=None, left_out=True)
-    shift_hz_ci95: Interval | None = said(default=None, left_out=True)
-    damping_change: float | None = said("second damping ratio less first", default=None, left_out=True)
-    damping_change_ci95: Interval | None = said(default=None, left_out=True)
+    new_frequency_hz: float | None = said("in the second test, where both show it", default=ABSENT)
+    shift_hz: float | None = said("second frequency less first", default=ABSENT)
+    shift_hz_ci95: Interval | None = said(default=ABSENT)
+    damping_change: float | None = said("second damping ratio less first", default=ABSENT)
+    damping_change_ci95: Interval | None = said(default=ABSENT)
     p_value: float | None = said("chance of so large a change where nothing changed")
     changed: bool = said("whether a change is claimed", default=False)
 

@@ -17,7 +17,7 @@ from crankorder.level_findings import Level as Level
 from crankorder.level_findings import LimitVerdict as LimitVerdict
 from crankorder.level_findings import ThirdOctave as ThirdOctave
 from crankorder.level_findings import VibrationLevel as VibrationLevel
-from crankorder.records import Document, Ends, Interval, Record, said
+from crankorder.records import ABSENT, Document, Ends, Interval, Record, said
 
 SCHEMA_VERSION = 1
 """Of ``findings.json``."""
@@ -36,7 +36,7 @@ class Channel(Record):
 
     name: str = said("name")
     unit: str = said("unit of the analysed signal, such as m/s2")
-    quantity: str | None = said("acceleration, sound_pressure, …", default=None, left_out=True)
+    quantity: str | None = said("acceleration, sound_pressure, …", default=ABSENT)
 
 
 class OrderFinding(Explained, Record):
@@ -68,9 +68,9 @@ class OrderFinding(Explained, Record):
         default=None,
     )
     meets_hz: float | None = said("natural frequency that shapes it", default=None)
-    meets_hz_ci95: Interval | None = said(default=None, left_out=True)
+    meets_hz_ci95: Interval | None = said(default=ABSENT)
     speed_range_rpm: Interval = said("slowest and fastest speed at which the line was seen")
-    n_speeds: int | None = said("speeds at which it was seen", default=None, left_out=True, least=0)
+    n_speeds: int | None = said("speeds at which it was seen", default=ABSENT, least=0)
     evidence: str = said("why it is taken for an order", default="")
     level_over_floor_db: float | None = said("level over the local noise floor", default=None)
     explained_by: str | None = said('what makes the line, or "unexplained"')
@@ -96,26 +96,24 @@ class ModeFinding(Explained, Record):
 
     frequency_hz: float = said("frequency", above=0)
     frequency_hz_ci95: Interval | None = said()
-    reference_rpm: float | None = said("of a whirl: speed at which it has frequency_hz", default=None, left_out=True)
+    reference_rpm: float | None = said("of a whirl: speed at which it has frequency_hz", default=ABSENT)
     speed_slope: float | None = said(
-        "of a whirl: Hz by which it moves per revolution per second, in orders; positive forward",
-        default=None,
-        left_out=True,
+        "of a whirl: Hz by which it moves per revolution per second, in orders; positive forward", default=ABSENT
     )
-    speed_slope_ci95: Interval | None = said(default=None, left_out=True)
+    speed_slope_ci95: Interval | None = said(default=ABSENT)
     damping_ratio: float | None = said("damping ratio; null where there is none", default=None)
     damping_ratio_ci95: Interval | None = said(default=None)
     channels: tuple[str, ...] = said("channels in which it was seen")
-    channel: str | None = said("of a tone: channel in which it stands clearest", default=None, left_out=True)
-    amplitude: float | None = said("of a tone: peak amplitude in that channel", default=None, left_out=True, least=0)
-    amplitude_ci95: Interval | None = said(default=None, left_out=True)
+    channel: str | None = said("of a tone: channel in which it stands clearest", default=ABSENT)
+    amplitude: float | None = said("of a tone: peak amplitude in that channel", default=ABSENT, least=0)
+    amplitude_ci95: Interval | None = said(default=ABSENT)
     evidence: str = said("why it is taken for what it is")
-    prominence_db: float | None = said("level over the floor beside it", default=None, left_out=True)
+    prominence_db: float | None = said("level over the floor beside it", default=ABSENT)
     reached_by_orders: tuple[float, ...] | None = said(
-        "orders that sweep through it in the tested range", default=None, left_out=True
+        "orders that sweep through it in the tested range", default=ABSENT
     )
     undecided: str | None = said(
-        "why it may be something else than a natural frequency; empty where it is decided", default=None, left_out=True
+        "why it may be something else than a natural frequency; empty where it is decided", default=ABSENT
     )
     explained_by: str = said(
         '"mode" for a natural frequency, "whirl" for one that moves with the speed, "undecided", else "mains", '
@@ -137,11 +135,9 @@ class CrossingFinding(Record):
     amplification_predicted: float | None = said(
         "response with the mode over response without it, from the fit", default=None
     )
-    predicted_from: Literal["fit", "damping"] | None = said(
-        "what predicts the amplification", default=None, left_out=True
-    )
+    predicted_from: Literal["fit", "damping"] | None = said("what predicts the amplification", default=ABSENT)
     remark: str | None = said("what makes the natural frequency doubtful", default=None)
-    channel: str | None = said("channel, where the crossing is judged per channel", default=None, left_out=True)
+    channel: str | None = said("channel, where the crossing is judged per channel", default=ABSENT)
     channels: tuple[str, ...] = said("channels in which it is excited", default=())
     amplification: float | None = said(
         "amplitude over the trend beside the crossing, or over that without the mode by the fit where its interval "
@@ -152,7 +148,7 @@ class CrossingFinding(Record):
         "95 % interval of amplification: low, high; high is null where it has no bound", default=None
     )
     evidence: str = said("why it is taken as excited or not", default="")
-    verdict: Verdict | None = said("what the evidence amounts to", default=None, left_out=True)
+    verdict: Verdict | None = said("what the evidence amounts to", default=ABSENT)
     chance: float | None = said(
         "chance that the order looks so without the mode; null where nothing was measured", default=None
     )
@@ -171,14 +167,13 @@ class AvoidedSpeed(Record):
     amplitude: float | None = said("largest peak amplitude there of order alone; null where it is not known")
     amplitude_ci95: Interval | None = said(default=None)
     by_fit: bool = said("amplitude is not as recorded but what the modal fit says of a held speed", default=False)
-    unit: str | None = said("unit of amplitude", default=None, left_out=True)
+    unit: str | None = said("unit of amplitude", default=ABSENT)
     amplification: float | None = said(
         "amplitude over that without the mode by the fit, or over the trend beside, in channel; null where not known"
     )
     cost: float | None = said(
         "by which it is ranked: its peak as a share of the largest amplitude of any order in a channel of that unit",
-        default=None,
-        left_out=True,
+        default=ABSENT,
     )
     reason: str = said("why, in words")
     amplification_ci95: Interval | None = said(
@@ -223,8 +218,8 @@ class BearingFinding(Record):
     amplitude: float | None = said("peak amplitude in the unit of its channel, at speed_rpm or where is_mean over all")
     amplitude_ci95: Interval | None = said(default=None)
     is_mean: bool = said("amplitude is the mean over all speeds of a line that keeps its size", default=False)
-    channel: str | None = said("channel in which it is strongest", default=None, left_out=True)
-    unit: str | None = said("unit of amplitude", default=None, left_out=True)
+    channel: str | None = said("channel in which it is strongest", default=ABSENT)
+    unit: str | None = said("unit of amplitude", default=ABSENT)
     speed_rpm: float | None = said("speed at which it is strongest", default=None)
     band_hz: Interval | None = said("band of the envelope: low, high", default=None)
     harmonics: int | None = said("multiples of the line over the false-alarm level", default=None, least=0)
@@ -307,14 +302,14 @@ class LineFinding(Explained, Record):
     ALSO: ClassVar[Document] = {"anyOf": [{"required": ["frequency_hz"]}, {"required": ["order"]}]}
 
     channel: str = said("name of the channel")
-    order: float | None = said("order of a line that moves with speed", default=None, left_out=True)
-    order_ci95: Interval | None = said(default=None, left_out=True)
-    frequency_hz: float | None = said("frequency of a line that stays", default=None, left_out=True)
-    frequency_hz_ci95: Interval | None = said(default=None, left_out=True)
+    order: float | None = said("order of a line that moves with speed", default=ABSENT)
+    order_ci95: Interval | None = said(default=ABSENT)
+    frequency_hz: float | None = said("frequency of a line that stays", default=ABSENT)
+    frequency_hz_ci95: Interval | None = said(default=ABSENT)
     explained_by: str | None = said('what makes it, or "unexplained"')
     causes: tuple[CauseKind, ...] = said(CAUSES, default=())
     amplitude: float | None = said("peak amplitude in the unit of its channel")
-    amplitude_ci95: Interval | None = said(default=None, left_out=True)
+    amplitude_ci95: Interval | None = said(default=ABSENT)
 
     @property
     def size(self) -> float:
@@ -354,13 +349,10 @@ class Balance(Record):
     crank_radius_mm: float | None = said("crank radius", default=None)
     grade_mm_s: float | None = said(
         "balance grade G (ISO 21940-11): rotating unbalance over the mass of the rotor, times the angular speed",
-        default=None,
-        left_out=True,
+        default=ABSENT,
     )
-    grade_mm_s_ci95: Interval | None = said(default=None, left_out=True)
-    grade_speed_rpm: float | None = said(
-        "speed of the grade: in service, else the fastest tested", default=None, left_out=True
-    )
+    grade_mm_s_ci95: Interval | None = said(default=ABSENT)
+    grade_speed_rpm: float | None = said("speed of the grade: in service, else the fastest tested", default=ABSENT)
     not_decided: dict[str, str] | None = said("reason by key of what could not be decided", default=None)
     evidence: str = said("what the numbers rest on", default="")
     if_unbalance: bool = said(
@@ -381,12 +373,12 @@ class Influence(Record):
 class TrialBalance(Balance):
     """Residual unbalance as a known mass tells it that was added between two tests: before, and with it."""
 
-    residual_after_gmm: float | None = said("rotating unbalance with the mass", default=None, left_out=True)
-    residual_after_gmm_ci95: Interval | None = said(default=None, left_out=True)
+    residual_after_gmm: float | None = said("rotating unbalance with the mass", default=ABSENT)
+    residual_after_gmm_ci95: Interval | None = said(default=ABSENT)
     angle_after_deg: float | None = said("its angle", default=None)
     angle_after_deg_ci95: Interval | None = said(default=None)
-    along_after_g: float | None = said("residual along the cylinder with the mass", default=None, left_out=True)
-    along_after_g_ci95: Interval | None = said(default=None, left_out=True)
+    along_after_g: float | None = said("residual along the cylinder with the mass", default=ABSENT)
+    along_after_g_ci95: Interval | None = said(default=ABSENT)
     radius_mm: float | None = said(
         "radius at which the mass was added; null of masses at several, and on a piston", default=None
     )
@@ -404,15 +396,11 @@ class Quality(Record):
     flag: str = said("what, one word")
     severity: Literal["info", "suspect", "bad"] = said("bad data take no part in averages")
     detail: str = said("where or how much")
-    channel: str | None = said("optional: channel that a fault of the record concerns", default=None, left_out=True)
-    begin: float | None = said(
-        "optional: where the fault begins, in s, by crank angle in rev", default=None, left_out=True
-    )
-    end: float | None = said("optional: where the fault ends, in s, by crank angle in rev", default=None, left_out=True)
+    channel: str | None = said("optional: channel that a fault of the record concerns", default=ABSENT)
+    begin: float | None = said("optional: where the fault begins, in s, by crank angle in rev", default=ABSENT)
+    end: float | None = said("optional: where the fault ends, in s, by crank angle in rev", default=ABSENT)
     left_out: Literal["stretch", "channel"] | None = said(
-        "optional: what of the channel was left out of all averages, so that the rest could stay",
-        default=None,
-        left_out=True,
+        "optional: what of the channel was left out of all averages, so that the rest could stay", default=ABSENT
     )
 
 
@@ -438,7 +426,7 @@ class Findings(Record):
     schema_version: int = said("version of this schema", least=1)
     test: str = said("name of the test")
     not_asked_for: str | None = said(
-        "why there are no findings, where the recipe asks for none; else absent", default=None, left_out=True
+        "why there are no findings, where the recipe asks for none; else absent", default=ABSENT
     )
     channels: tuple[Channel, ...] = said("channels analysed")
     speed_range_rpm: Interval = said("slowest and fastest tested speed", default=(None, None))
@@ -451,21 +439,17 @@ class Findings(Record):
         "natural frequencies, those that move with the speed (whirl) too, mains, other tones"
     )
     crossings: tuple[CrossingFinding, ...] = said("speeds at which an order meets a natural frequency")
-    speeds_to_avoid: tuple[AvoidedSpeed, ...] | None = said(
-        "speeds to avoid, the worst first", default=None, left_out=True
-    )
+    speeds_to_avoid: tuple[AvoidedSpeed, ...] | None = said("speeds to avoid, the worst first", default=ABSENT)
     free_bands: tuple[FreeBand, ...] = said(
         "speed ranges in which the data exclude that any order found is amplified by more than a stated factor",
         default=(),
     )
     open_bands: tuple[OpenBand, ...] | None = said(
-        "speed ranges that are neither free nor to be avoided: what the data leave open there",
-        default=None,
-        left_out=True,
+        "speed ranges that are neither free nor to be avoided: what the data leave open there", default=ABSENT
     )
     bearings: tuple[BearingFinding, ...] = said("bearing lines found")
     motor: Motor | None = said(
-        "the induction motor that the manifest states; absent where none is stated", default=None, left_out=True
+        "the induction motor that the manifest states; absent where none is stated", default=ABSENT
     )
     lines: tuple[LineFinding, ...] = said("every line above the false-alarm level, by order or by frequency")
     unexplained_energy_fraction: float | None = said(
@@ -489,13 +473,11 @@ class Findings(Record):
     )
     limits: tuple[LimitVerdict, ...] = said("what the limits of the manifest come to", default=())
     balance: Balance | None = said("residual unbalance, or null with balance_reason")
-    balance_reason: str | None = said("why there is no balance", default=None, left_out=True)
+    balance_reason: str | None = said("why there is no balance", default=ABSENT)
     looked_for: tuple[str, ...] = said(
         'what was sought: "orders", "modes", "bearings", "envelope"; an all-clear names no more than this', default=()
     )
-    false_alarm_probability: float | None = said(
-        "chance of one false line in a test", default=None, left_out=True, above=0, below=1
-    )
+    false_alarm_probability: float | None = said("chance of one false line in a test", default=ABSENT, above=0, below=1)
     quality: tuple[Quality, ...] = said("remarks on recordings")
     speed_swing: tuple[SpeedSwing, ...] = said(
         "swing of the shaft's own speed within its cycle, by recording, the largest order first; only what is certain",
@@ -507,16 +489,8 @@ class Findings(Record):
         return _NOT_SOUGHT if self.not_asked_for else ()
 
 
-_NOT_SOUGHT = (
-    "speed_doubt",
-    "free_bands",
-    "energy",
-    "levels",
-    "looked_for",
-    "vibration_levels",
-    "third_octaves",
-    "limits",
-)
+_OF_LEVELS = ("levels", "vibration_levels", "third_octaves", "limits", "energy")
+_NOT_SOUGHT = (*_OF_LEVELS, "speed_doubt", "free_bands", "looked_for")
 
 
 def quality_of(flags: Iterable[Mapping[str, object]]) -> tuple[Quality, ...]:

@@ -10,8 +10,8 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -386,10 +386,10 @@ def run(
     if out is not None or manifest is not None:
         problem = "recordings in memory have no manifest and write no file"
         raise RequestError(problem, file="crankorder.run", found="out" if out is not None else "manifest")
-    settings = load_settings(_name(recipe), asked={"orders": {} if tol is None else {"tolerance": tol}})
+    settings = load_settings(_name(recipe), asked={"orders": {"tolerance": tol}})
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
-    options = {"tables": tables, "engine": engine, "test": test, "strict": strict}
-    groups, findings = _analysed(tests, settings, **options)  # type: ignore[arg-type]
+    recordings: Any = tests
+    groups, findings = _analysed(recordings, settings, tables=tables, engine=engine, test=test, strict=strict)
     told = _diagnosis(findings)
     root = xr.Dataset(attrs=root_attrs(told, groups))
     made = {name: plain_attrs(published(one)) for name, one in {**groups, **findings_datasets(told)}.items()}
@@ -504,10 +504,7 @@ def synthesise(scene: str, out: str | os.PathLike[str], *, quick: bool = False) 
 
 def _settings(*results: str, recipe: str | None, **stages: Mapping[str, Any]) -> Settings:
     """Settings of ``recipe`` that ask for ``results``, with what was given (not None) of each of ``stages``."""
-    asked = {
-        stage: {key: _plain(value) for key, value in table.items() if value is not None}
-        for stage, table in stages.items()
-    }
+    asked = {stage: {key: _plain(value) for key, value in table.items()} for stage, table in stages.items()}
     return load_settings(_name(recipe), asked={**asked, "report": {"results": results}})
 
 
@@ -568,23 +565,20 @@ def _document(text: str | bytes) -> Sheet:
 def _run_folders(plans: list[CampaignPlan], out: Path, options: RunOptions) -> None:
     """Run ``plans`` with ``options``; what was left out is warned of, and what nobody foresaw is raised."""
 
-    @contextmanager
-    def unwatched(_: str) -> Iterator[Progress]:
-        yield lambda name, done, total: None
+    def tell(outcome: Outcome) -> None:
+        _warn([*outcome.faults, *outcome.notes, *outcome.internal])
 
-    outcomes: list[Outcome] = []
+    def unwatched(_: str) -> nullcontext[Progress]:
+        return nullcontext(lambda name, done, total: None)
+
     reporting = ReportingProcess(plans, jobs=options.jobs)
     try:
-        outcomes = run_plans(plans, out, options, reporting=reporting, watched=unwatched, tell=_warn_of)
+        outcomes = run_plans(plans, out, options, reporting=reporting, watched=unwatched, tell=tell)
     finally:
         reporting.close()
     if all(outcome.status == "failed" for outcome in outcomes):
         internal = [error for outcome in outcomes for error in outcome.internal]
         raise (internal or [fault for outcome in outcomes for fault in outcome.faults])[0]
-
-
-def _warn_of(outcome: Outcome) -> None:
-    _warn([*outcome.faults, *outcome.notes, *outcome.internal])
 
 
 def _warn(faults: Sequence[BaseException | str]) -> None:

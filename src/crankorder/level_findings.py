@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from crankorder.records import Interval, Record, said
+from crankorder.records import ABSENT, Interval, Record, said
 
 
 class Level(Record):
@@ -81,7 +81,7 @@ class EnergyShares(Record):
     """Where the energy of a channel lies."""
 
     channel: str = said("name of the channel")
-    unit: str | None = said("unit of total, such as (m/s2)2", default=None, left_out=True)
+    unit: str | None = said("unit of total, such as (m/s2)2", default=ABSENT)
     orders: float | None = said("share of the explained orders", least=0, most=1)
     tones: float | None = said("share of mains and other tones", least=0, most=1)
     unexplained_lines: float | None = said("part of unexplained in lines without a known cause", default=None)
@@ -107,9 +107,7 @@ class Energy(Record):
     """Where the energy of each channel in the band looked at lies."""
 
     cells_judged: bool | None = said(
-        "whether a fitted surface was there by which cells between the lines could be judged",
-        default=None,
-        left_out=True,
+        "whether a fitted surface was there by which cells between the lines could be judged", default=ABSENT
     )
     band_hz: float | None = said(
         "frequency up to which the parts add up to one, at the fastest speed; null where frequencies are not known",

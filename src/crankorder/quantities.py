@@ -89,12 +89,8 @@ VibrationLevels = NewType("VibrationLevels", xr.Dataset)
 OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 """Amplitude and phase of every channel at named orders, by speed: how the measured points move together."""
 
-"""What the test says: orders, modes, crossings, bearings, lines, each with a 95 % interval and evidence."""
-
 Truth = NewType("Truth", dict[str, Json])
 """What was put into a synthetic test, in the words of the findings."""
-
-"""Order frames by the angle that the encoder shows, swings and all."""
 
 SCHEMAS: dict[Any, str] = {
     Recording: "recording",
@@ -143,8 +139,7 @@ class QualityFlag(TypedDict):
 
 def flags_of(dataset: xr.Dataset) -> list[QualityFlag]:
     """Quality flags that ``dataset`` (any dims) carries, in the order in which they were raised."""
-    flags: list[QualityFlag] = json.loads(dataset.attrs.get("quality", "[]"))
-    return flags
+    return list(json.loads(dataset.attrs.get("quality", "[]")))
 
 
 def with_flags(dataset: xr.Dataset, flags: Iterable[QualityFlag]) -> xr.Dataset:
@@ -180,8 +175,7 @@ def unindexed(**coords: Any) -> xr.Coordinates:
 def schema_of(noun: str) -> Mapping[str, Any]:
     """JSON Schema of a noun or file of ``data_schema/``, by file stem such as ``"order_map"``."""
     text = files("crankorder.data_schema").joinpath(f"{noun}.json").read_text(encoding="utf-8")
-    schema: Mapping[str, Any] = json.loads(text)
-    return schema
+    return dict(json.loads(text))
 
 
 def check_dataset(dataset: xr.Dataset, noun: str) -> None:

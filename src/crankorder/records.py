@@ -10,9 +10,6 @@ from math import isfinite
 from operator import ge, gt, le, lt
 from typing import Any, ClassVar, Literal, Self, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
-import numpy as np
-from pydantic import BaseModel
-
 from crankorder.errors import InputError
 
 Json = str | float | bool | None | Sequence["Json"] | Mapping[str, "Json"]
@@ -31,9 +28,7 @@ Ends = tuple[float, float]
 def known(interval: Interval | None) -> Ends | None:
     """``interval`` where both of its ends are known, as finite numbers, else None."""
     low, high = interval or (None, None)
-    if low is None or high is None or not isfinite(low) or not isfinite(high):
-        return None
-    return low, high
+    return None if low is None or high is None or not isfinite(low) or not isfinite(high) else (low, high)
 
 
 def finite(number: float) -> float | None:
@@ -53,13 +48,15 @@ _PLAIN: dict[object, tuple[str, str]] = {
 """Type of JSON, and what an error calls it."""
 
 
+ABSENT: Any = object()
+"""Default of a field that is None unless it is given, and that JSON then does not name."""
+
+
 def said(
     text: str = "",
     *,
     default: Any = MISSING,
     key: str = "",
-    left_out: bool = False,
-    spread: bool = False,
     least: float | None = None,
     above: float | None = None,
     most: float | None = None,
@@ -67,15 +64,14 @@ def said(
 ) -> Any:
     """A field of a record, with what it is in words: ``text``; empty for a 95 % interval, which its name tells.
 
-    Without ``default`` the field must be given, and its key must stand in JSON. ``key`` is its name there, where that
-    is another; a field that is ``left_out`` has no key where it is None; one that is ``spread`` has the keys of its own
-    record or mapping in that place, and is only written. A number is ``least`` (≥), ``above`` (>),
+    Without ``default`` the field must be given, and its key must stand in JSON; a field whose default is ``ABSENT`` has
+    no key where it is None. ``key`` is its name there, where that is another. A number is ``least`` (≥), ``above`` (>),
     ``most`` (≤) or ``below`` (<).
     """
     bounds = {"minimum": least, "maximum": most, "exclusiveMinimum": above, "exclusiveMaximum": below}
     limits = {name: bound for name, bound in bounds.items() if bound is not None}
-    metadata = {"text": text, "key": key, "left_out": left_out, "spread": spread, "limits": limits}
-    return field(default=default, metadata=metadata)
+    metadata = {"text": text, "key": key, "absent": default is ABSENT, "limits": limits}
+    return field(default=None if default is ABSENT else default, metadata=metadata)
 
 
 @dataclass(frozen=True)
@@ -118,10 +114,8 @@ class Record:
         document: Document = {}
         for entry in self._said():
             value = getattr(self, entry.name)
-            if entry.name in omitted or (value is None and entry.metadata["left_out"]):
-                continue
-            written = _as_json(value)
-            document |= written if entry.metadata["spread"] else {_key(entry): written}
+            if entry.name not in omitted and not (value is None and entry.metadata["absent"]):
+                document[_key(entry)] = _as_json(value)
         return document
 
     @classmethod
@@ -172,15 +166,9 @@ def _key(one: Field[Any]) -> str:
 def _as_json(value: object) -> Any:
     if isinstance(value, Record):
         return value.as_dict()
-    if isinstance(value, BaseModel):
-        return value.model_dump()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, complex):
-        return {"x": value.real, "y": value.imag}
     if isinstance(value, tuple):
         return [_as_json(part) for part in value]
-    return {key: _as_json(part) for key, part in value.items()} if isinstance(value, Mapping) else value
+    return dict(value) if isinstance(value, Mapping) else value
 
 
 def _text(one: Field[Any]) -> str:
@@ -221,7 +209,8 @@ def _read(kind: Any, value: object, one: Field[Any], *, file: object, place: str
         return dict(value)
     if get_origin(inner) is Literal and value in get_args(inner):
         return value
-    if inner in _PLAIN and _is_plain(inner, value) and _is_within(value, one):
+    limits = one.metadata["limits"].items()
+    if inner in _PLAIN and _is_plain(inner, value) and all(_LIMITS[name][1](value, bound) for name, bound in limits):
         return inner(value)
     allowed = _allowed(inner, one) + " or null" * optional
     problem = f"is not {one.metadata['text']}" if one.metadata["text"] else "is no interval"
@@ -234,10 +223,6 @@ def _is_plain(kind: type, value: object) -> bool:
     if kind is int and isinstance(value, float):
         return value.is_integer()
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
-
-
-def _is_within(value: Any, one: Field[Any]) -> bool:
-    return all(_LIMITS[name][1](value, bound) for name, bound in one.metadata["limits"].items())
 
 
 def _allowed(kind: Any, one: Field[Any]) -> str:
@@ -256,14 +241,10 @@ def _allowed(kind: Any, one: Field[Any]) -> str:
 def _schema(kind: Any, one: Field[Any]) -> Document:
     """Schema of the field ``one`` of the type ``kind``."""
     inner, optional = _without_none(kind)
-    text = _text(one)
     made = _schema_of_type(inner) | one.metadata["limits"]
-    if optional and not one.metadata["left_out"]:
-        if "enum" in made:
-            made["enum"] = [*made["enum"], None]
-        else:
-            made["type"] = [made["type"], "null"]
-    return {"description": text, **made}
+    if optional and not one.metadata["absent"]:
+        made |= {"enum": [*made["enum"], None]} if "enum" in made else {"type": [made["type"], "null"]}
+    return {"description": _text(one), **made}
 
 
 def _schema_of_type(kind: Any) -> Document:
@@ -281,5 +262,4 @@ def _schema_of_type(kind: Any) -> Document:
         return {"type": "array", "items": _schema_of_type(each[0]), **ends}
     if get_origin(kind) is dict:
         return {"type": "object", "additionalProperties": {"type": "string"}}
-    schema: Document = kind.json_schema()
-    return schema
+    return dict(kind.json_schema())

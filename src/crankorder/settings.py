@@ -303,18 +303,19 @@ def load_settings(
     """Settings of all stages with the differences of ``recipe`` (a shipped name or a path of a TOML file) applied.
 
     A relative path is tried from the folder ``beside`` first. What the command or call ``asked`` for, by stage and key,
-    goes before both.
+    goes before both; a value of None was not asked for.
     Raises ManyErrors that lists every unknown key and every value out of range, or RequestError for a missing file.
     """
     differences, source = ({}, "pipeline") if recipe is None else toml_table(recipe, "recipes", beside=beside)
     tables: dict[str, object] = dict(_defaults())
-    for stage, table in (*differences.items(), *(asked or {}).items()):
+    options = {stage: {k: v for k, v in table.items() if v is not None} for stage, table in (asked or {}).items()}
+    for stage, table in (*differences.items(), *options.items()):
         before = tables.get(stage, {})
         if isinstance(table, Mapping) and isinstance(before, Mapping):
             tables[stage] = {**before, **table}
         elif stage not in ("title", "description"):
             tables[stage] = table
-    if any((asked or {}).values()):
+    if any(options.values()):
         source = "the options"
     try:
         return Settings.model_validate(tables)

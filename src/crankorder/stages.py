@@ -43,13 +43,7 @@ from crankorder.orders.method import METHOD_SHARE
 from crankorder.orders.shapes import operating_shapes
 from crankorder.orders.swept_tracks import followed_tracks
 from crankorder.orders.track_rows import followed_orders, order_tracks
-from crankorder.orders.true_angle import (
-    NAMES,
-    Swings,
-    frames_in_true_angle,
-    swings_of_test,
-    tracks_in_true_angle,
-)
+from crankorder.orders.true_angle import NAMES, Swings, frames_in_true_angle, swings_of_test, tracks_in_true_angle
 from crankorder.quantities import (
     SCHEMAS,
     BandRecording,

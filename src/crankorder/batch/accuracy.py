@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -42,17 +43,6 @@ SAMPLES_PER_HZ = 2.56
 
 SURE = 5.0
 """Standard errors from which on the bias of an amplitude is counted: below it noise alone lifts amplitudes."""
-
-
-@dataclass(frozen=True)
-class Timed:
-    """An order map made at a tolerance: by which method, how long it took, and by how much it was wrong."""
-
-    tolerance: float
-    method: str
-    predicted_error: float
-    error: float
-    samples_per_s: float
 
 
 @dataclass(frozen=True)
@@ -97,7 +87,7 @@ def publish_accuracy(out: Path, *, on: Path | None = None, draws: int = 1) -> tu
     measured: dict[str, object]
     if on is None:
         timed = list(speed_against_error())
-        measured, text = {"speed_against_error": [asdict(row) for row in timed]}, _speed_text(timed)
+        measured, text = {"speed_against_error": timed}, _speed_text(timed)
     else:
         twin = accuracy_on(on, draws=draws)
         measured, text = {"twin": asdict(twin)}, _twin_text(twin)
@@ -107,8 +97,11 @@ def publish_accuracy(out: Path, *, on: Path | None = None, draws: int = 1) -> tu
     return [out / name for name in files], text
 
 
-def speed_against_error() -> Iterator[Timed]:
-    """Order maps of one recording at each tolerance, timed, compared with the true amplitudes and phases."""
+def speed_against_error() -> Iterator[dict[str, Any]]:
+    """Order maps of one recording at each tolerance: method, error predicted and made, samples per second.
+
+    The amplitudes and phases of the map are compared with the true ones.
+    """
     phases = np.random.default_rng(1).uniform(-np.pi, np.pi, (3, len(LINES)))
     seconds = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
     signals = [
@@ -117,8 +110,10 @@ def speed_against_error() -> Iterator[Timed]:
     ]
     per_rev = np.arange(round(float(_turns(np.array(SECONDS))) * PULSES)) / PULSES
     one = TwinRecording("speed", np.array(signals), _times(per_rev), _times(np.arange(per_rev[-1])), SPEED_RPM)
-    channels = [{"name": name, "source": place, "unit": "m/s2"} for place, name in enumerate("XYZ")]
-    recording = _recording(one, channels, "four-stroke", RATE_HZ, PULSES, load_settings())
+    nothing, channels = xr.Dataset(), {"channel": list("XYZ"), "unit": ("channel", ["m/s2"] * 3)}
+    tracks = xr.Dataset(coords=channels)
+    twin = Twin(tracks, nothing, nothing, nothing, RATE_HZ, PULSES, 0.0, cycle="four-stroke")
+    recording = _recording(twin, one)
     wanted = np.array(list(LINES.values())) * np.exp(1j * phases)
     for tolerance in TOLERANCES:
         settings = load_settings(asked={"report": {"results": ("order_map",)}, "orders": {"tolerance": tolerance}})
@@ -130,9 +125,9 @@ def speed_against_error() -> Iterator[Timed]:
         row = order_map.isel(speed=int(np.argmax(order_map["n_frames"].values))).sel(order=list(LINES))
         got = row["coherent_amplitude"].values * np.exp(1j * np.radians(row["phase"].values))
         error = float(np.max(np.abs(got - wanted) / np.abs(wanted)))
-        samples = signals[0].size * len(signals)
-        predicted = float(order_map.attrs["predicted_error"])
-        yield Timed(tolerance, str(order_map.attrs["method"]), predicted, error, samples / min(taken))
+        speed = signals[0].size * len(signals) / min(taken)
+        made = {"method": str(order_map.attrs["method"]), "predicted_error": float(order_map.attrs["predicted_error"])}
+        yield {"tolerance": tolerance, **made, "error": error, "samples_per_s": speed}
 
 
 def _turns(seconds: Floats) -> Floats:
@@ -165,7 +160,8 @@ def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
         found = f"without {', '.join(missing)}" if missing else "no order was found"
         allowed = "results with orders, an order map and a Campbell map, as `crankorder run` makes them"
         raise RequestError("no twin can be made of this test", file=folder, found=found, allowed=allowed)
-    asked = {**run["settings"], "report": {**run["settings"]["report"], "results": _RESULTS}}
+    results = ("order_map", "campbell_map", "order_tracks", "findings")
+    asked = {**run["settings"], "report": {**run["settings"]["report"], "results": results}}
     settings = load_settings(asked={stage: values for stage, values in asked.items() if isinstance(values, dict)})
     manifest = run["manifest"]
     encoder, test = manifest.get("encoder") or {}, manifest["test"]
@@ -184,9 +180,6 @@ def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
     return _judged(twin, str(run["test"]), [_draw(twin, number) for number in range(draws)])
 
 
-_RESULTS = ("order_map", "campbell_map", "order_tracks", "findings")
-
-
 @dataclass(frozen=True, eq=False)
 class _Draw:
     """A twin that was analysed: its tracks and findings, and what probes (orders) it had of what size."""
@@ -201,13 +194,7 @@ def _draw(twin: Twin, number: int) -> _Draw:
     rng = np.random.default_rng([number, 18])
     probes = probe_orders(twin)
     amplitudes = probe_amplitudes(twin, rng, len(probes))
-    coords = twin.tracks.coords
-    rows = zip(coords["channel"].values.astype(str), coords["unit"].values.astype(str), strict=True)
-    channels = [{"name": name, "source": place, "unit": unit} for place, (name, unit) in enumerate(rows)]
-    recordings = [
-        _recording(recording, channels, twin.cycle, twin.rate_hz, twin.pulses_per_rev, twin.settings)
-        for recording in twin_recordings(twin, probes, amplitudes, rng)
-    ]
+    recordings = [_recording(twin, made) for made in twin_recordings(twin, probes, amplitudes, rng)]
     engine = twin.engine
     try:
         engine_of(engine)
@@ -217,25 +204,19 @@ def _draw(twin: Twin, number: int) -> _Draw:
     return _Draw(groups["order_tracks"], findings, probes, amplitudes)
 
 
-def _recording(
-    twin: TwinRecording,
-    channels: Sequence[Mapping[str, object]],
-    cycle: str,
-    rate_hz: float,
-    pulses_per_rev: int,
-    settings: Settings,
-) -> xr.Dataset:
-    """Recording of a twin, checked as that of a file is."""
-    columns: dict[str | int, Floats] = dict(enumerate(twin.signals))
-    encoder: dict[str, object] = {"kind": "constant", "speed_rpm": twin.speed_rpm}
-    if pulses_per_rev:
-        columns |= {len(channels): twin.pulse_times_s, len(channels) + 1: twin.mark_times_s}
+def _recording(twin: Twin, made: TwinRecording) -> xr.Dataset:
+    """The recording ``made`` of a ``twin``, checked as that of a file is."""
+    channels = [{"name": name, "source": place, "unit": unit} for place, (name, unit) in enumerate(twin.channels)]
+    columns: dict[str | int, Floats] = dict(enumerate(made.signals))
+    encoder: dict[str, object] = {"kind": "constant", "speed_rpm": made.speed_rpm}
+    if twin.pulses_per_rev:
+        columns |= {len(channels): made.pulse_times_s, len(channels) + 1: made.mark_times_s}
         encoder = {"kind": "pulse_times", "source": len(channels), "index": len(channels) + 1, "index_to_tdc_deg": 0.0}
-        encoder |= {"pulses_per_rev": pulses_per_rev}
-    head = manifest_head("twin", cycle, channels)
-    manifest = manifest_of({**head, "sampling": {"rate_hz": rate_hz}, "encoder": encoder}, Path("twin"))
-    raw = RawFile(columns, attrs={"start_s": 0.0})
-    return recording_of(raw, Path(twin.name), manifest, settings=settings.ingest, shaft=settings.shaft)
+        encoder |= {"pulses_per_rev": twin.pulses_per_rev}
+    head = manifest_head("twin", twin.cycle, channels)
+    manifest = manifest_of({**head, "sampling": {"rate_hz": twin.rate_hz}, "encoder": encoder}, Path("twin"))
+    raw, settings = RawFile(columns, attrs={"start_s": 0.0}), twin.settings
+    return recording_of(raw, Path(made.name), manifest, settings=settings.ingest, shaft=settings.shaft)
 
 
 def _judged(twin: Twin, test: str, draws: list[_Draw]) -> TwinAccuracy:
@@ -247,14 +228,10 @@ def _judged(twin: Twin, test: str, draws: list[_Draw]) -> TwinAccuracy:
         missed.update(f"{order:.4g}" for order in own if np.abs(found - order).min(initial=np.inf) > near)
         known = np.concatenate([own, draw.probes])
         false.update(f"{order:.4g}" for order in found if np.abs(known - order).min() > near)
-    names, units = twin.tracks["channel"].values.astype(str), twin.tracks["unit"].values.astype(str)
-    channels = tuple(
-        _of_channel(twin, draws, number, name, unit, near)
-        for number, (name, unit) in enumerate(zip(names, units, strict=True))
-    )
-    counted = [
+    channels = tuple(_of_channel(twin, draws, number, *channel, near) for number, channel in enumerate(twin.channels))
+    counted = (
         tuple(f"{order} ({count} of {len(draws)})" for order, count in counts.items()) for counts in (missed, false)
-    ]
+    )
     return TwinAccuracy(test, len(draws), twin.rate_hz, channels, *counted)
 
 
@@ -301,11 +278,11 @@ def _beside(twin: Twin, draw: _Draw, channel: int, order: float, near: float) ->
     yield from (row for row in np.array(columns, dtype=float).T.tolist() if np.isfinite(row).all())
 
 
-def _speed_text(timed: list[Timed]) -> str:
-    rows = [
-        (f"{row.tolerance:.0e}", f"{row.predicted_error:.1e}", f"{row.error:.1e}", row.samples_per_s / 1e6, row.method)
-        for row in timed
-    ]
+def _speed_text(timed: list[dict[str, Any]]) -> str:
+    rows = []
+    for row in timed:
+        errors = (f"{row['tolerance']:.0e}", f"{row['predicted_error']:.1e}", f"{row['error']:.1e}")
+        rows.append((*errors, row["samples_per_s"] / 1e6, row["method"]))
     heads = ("asked for", "predicted", "error", "million samples/s", "method")
     return "\n".join(text_table("Order map of 3 channels, from samples to amplitudes and phases", heads, rows)) + "\n"
 
@@ -369,6 +346,12 @@ class Twin:
     cycle: str = "rotor"
     engine: str | None = None
     tables: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def channels(self) -> list[tuple[str, str]]:
+        """Name and unit of each channel."""
+        columns = (self.tracks[key].values.astype(str).tolist() for key in ("channel", "unit"))
+        return list(zip(*columns, strict=True))
 
 
 @dataclass(frozen=True)

@@ -134,16 +134,12 @@ def _of_engine(balance: Balance, settings: ReportSettings) -> Parts:
         "orders": drawn.order_bars_figure,
         "harmonics": drawn.harmonics_figure,
     }
-    figures: dict[str, Callable[[], Any]] = {
-        name: partial(figure, shown["balance"], title=sheet["engine"], settings=settings)
-        for name, figure in of_forces.items()
-    }
+    figures = {name: partial(figure, shown["balance"]) for name, figure in of_forces.items()}
     if cycle is not None:
-        of_cycle = partial(drawn.torque_figure, shown["cycle"], cycle["turning"])
-        figures["torque"] = partial(of_cycle, title=sheet["engine"], settings=settings)
+        figures["torque"] = partial(drawn.torque_figure, shown["cycle"], cycle["turning"])
         if cycle["loads"] is not None:
-            figures["loads"] = partial(drawn.loads_figure, shown["cycle"], title=sheet["engine"], settings=settings)
-    return groups, figures
+            figures["loads"] = partial(drawn.loads_figure, shown["cycle"])
+    return groups, {name: partial(one, title=sheet["engine"], settings=settings) for name, one in figures.items()}
 
 
 def _of_hinges(balance: Balance, settings: ReportSettings) -> Parts:

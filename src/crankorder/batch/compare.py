@@ -90,12 +90,9 @@ def _test_folder(folder: Path) -> Path:
         listed = ", ".join(path.name for path in inside)
         remedy = f"Name one of them, as {folder / inside[0].name}"
         raise RequestError(f"holds the results of {len(inside)} tests", file=folder, found=listed, remedy=remedy)
-    raise RequestError(
-        "no finished results here",
-        file=folder,
-        allowed="a folder that `crankorder run` made, or its --out of one test",
-        remedy="Run the analysis again; results without a done marker are never used",
-    )
+    allowed = "a folder that `crankorder run` made, or its --out of one test"
+    remedy = "Run the analysis again; results without a done marker are never used"
+    raise RequestError("no finished results here", file=folder, allowed=allowed, remedy=remedy)
 
 
 def document_text(results: ComparedResults) -> str:

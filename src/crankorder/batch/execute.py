@@ -132,8 +132,8 @@ class _TestRun:
         outcome, options = self.outcome, self._options
         self._made_by, self._hashes = self._reporting.program, self._reporting.hashes(self._plan)
         digests = {path: hashed.sha256 for path, hashed in self._hashes.items()}
-        plan, altered = self._plan.without_altered(digests)
-        self._plan = plan
+        self._plan, altered = self._plan.without_altered(digests)
+        plan = self._plan
         outcome.faults += altered
         self._lap("hash")
         code, versions = self._made_by
@@ -174,15 +174,15 @@ class _TestRun:
         plan, options = self._plan, self._options
         wanted, copies = _each_once(plan, self._hashes)
         self.outcome.flags += copies
-        engine, store = engine_of_test(plan), FrameStore.of(plan.out)
+        self._engine, store = engine_of_test(plan), FrameStore.of(plan.out)
         hashed = {path: {file: self._hashes[file] for file in plan.files_of(path)} for path in wanted}
         program = text_sha256(self._made_by[0], json.dumps(self._made_by[1], sort_keys=True))
-        keys = [text_sha256(program, *_recording_parts(plan, path, hashed[path], engine)) for path in wanted]
+        keys = [text_sha256(program, *_recording_parts(plan, path, hashed[path], self._engine)) for path in wanted]
         blamed: dict[str, CrankorderError] = {}
         if options.scheduler is not None:
             if options.fresh:
                 store.keep_only(())
-            blamed = self._on_cluster(options.scheduler, dict(zip(keys, wanted, strict=True)), hashed, engine, store)
+            blamed = self._on_cluster(options.scheduler, dict(zip(keys, wanted, strict=True)), hashed, store)
 
         def analyse(number: int) -> Analysed:
             begun, path = time.perf_counter(), wanted[number]
@@ -191,7 +191,7 @@ class _TestRun:
             kept = None if options.fresh and options.scheduler is None else store.load(keys[number])
             if kept is not None:
                 return kept, True, time.perf_counter() - begun
-            result = analyse_recording(path, plan.manifest, plan.settings, engine)
+            result = analyse_recording(path, plan.manifest, plan.settings, self._engine)
             _check_unchanged(hashed[path])
             return store.save(keys[number], PackedResult.of(result)), False, time.perf_counter() - begun
 
@@ -213,12 +213,7 @@ class _TestRun:
         return [results[path] for path in wanted if path in results]
 
     def _on_cluster(
-        self,
-        scheduler: str,
-        wanted: dict[str, Path],
-        hashed: dict[Path, dict[Path, HashedFile]],
-        engine: Engine | None,
-        store: FrameStore,
+        self, scheduler: str, wanted: dict[str, Path], hashed: dict[Path, dict[Path, HashedFile]], store: FrameStore
     ) -> dict[str, CrankorderError]:
         """Have the cluster of the ``scheduler`` fill the ``store`` with the recordings ``wanted``; its faults, by key.
 
@@ -227,20 +222,16 @@ class _TestRun:
         from crankorder.batch.cluster import ClusterTask, analyse_on_cluster
 
         plan, begun = self._plan, time.perf_counter()
+        sha256 = {path: {file.resolve(): of.sha256 for file, of in files.items()} for path, files in hashed.items()}
         tasks = [
-            ClusterTask(
-                path.resolve(),
-                plan.name_of(path),
-                key,
-                {file.resolve(): of.sha256 for file, of in hashed[path].items()},
-            )
+            ClusterTask(path.resolve(), plan.name_of(path), key, sha256[path])
             for key, path in wanted.items()
             if not store.path(key).exists()
         ]
         blamed = analyse_on_cluster(
             scheduler,
             tasks,
-            (plan.manifest, plan.settings, engine),
+            (plan.manifest, plan.settings, self._engine),
             made_by=self._made_by,
             store=store,
             progress=lambda done: self._progress and self._progress(plan.name, done, len(tasks)),
@@ -282,7 +273,7 @@ class _TestRun:
     ) -> None:
         """Make maps and findings of ``results`` and publish their files."""
         plan, outcome = self._plan, self.outcome
-        sources = sources_of(plan.manifest, engine_of_test(plan), plan.settings)
+        sources = sources_of(plan.manifest, self._engine, plan.settings)
         groups, findings, left_out = results_of_test(
             results, doubts, test=plan.name, sources=sources, settings=plan.settings, flags=outcome.flags,
             faults=outcome.faults, name_of=plan.name_of,
@@ -327,10 +318,9 @@ def results_of_test(
     name_of : gives the name of the recording in a file
     """
     made = analyse_test(results, doubts, test=test, sources=sources, settings=settings)
+    uneven = [flag for flag in made.findings.quality if flag.flag == "frame_length_differs"]
     left_out: list[CrankorderError] = [
-        InputError("left out of the order map", file=flag.recording, found=flag.detail)
-        for flag in made.findings.quality
-        if flag.flag == "frame_length_differs"
+        InputError("left out of the order map", file=flag.recording, found=flag.detail) for flag in uneven
     ]
     not_used = [remark(name_of(Path(fault.file)), "not_used", str(fault), "bad") for fault in (*faults, *left_out)]
     highest, orders = settings.orders.max_order, made.findings.orders
@@ -341,23 +331,18 @@ def results_of_test(
 
 def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list[Path], list[QualityFlag]]:
     """The recordings of ``plan`` of which none is a copy of another, and flags that name the copies."""
-    # what cannot be read, and empty files, are no copies of each other: each gets its own error
-    hashed = {path: [hashes[file] for file in plan.files_of(path)] for path in plan.recordings}
-    alike = {
-        path: " ".join(str(file.sha256) for file in files)
-        for path, files in hashed.items()
-        if all(file.size for file in files)
-    }
     first_of: dict[str, Path] = {}
-    wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
-    first = set(wanted)
-    flags = [
-        remark(
-            plan.name_of(path), "duplicate_of", f"the same bytes as {plan.name_of(first_of[alike[path]])}: counted once"
-        )
-        for path in plan.recordings
-        if path not in first
-    ]
+    wanted, flags = list[Path](), list[QualityFlag]()
+    for path in plan.recordings:
+        files = [hashes[file] for file in plan.files_of(path)]
+        # what cannot be read, and empty files, are no copies of each other: each gets its own error
+        content = " ".join(str(file.sha256) for file in files) if all(file.size for file in files) else str(path)
+        first = first_of.setdefault(content, path)
+        if first == path:
+            wanted.append(path)
+        else:
+            detail = f"the same bytes as {plan.name_of(first)}: counted once"
+            flags.append(remark(plan.name_of(path), "duplicate_of", detail))
     return wanted, flags
 
 
@@ -391,9 +376,8 @@ def _provenance(
     plan: CampaignPlan, code: str, versions: dict[str, str], hashes: dict[Path, HashedFile]
 ) -> dict[str, object]:
     """What ``run.json`` states: inputs with hashes, versions, settings; nothing of the host or the time."""
-    engine = None
-    if plan.manifest.test.engine is not None:
-        name = plan.manifest.test.engine
+    engine, name = None, plan.manifest.test.engine
+    if name is not None:
         engine, _ = with_gas_file(toml_table(name, "engines", beside=plan.folder)[0], name, plan.folder)
     return {
         "schema_version": 1,
@@ -401,12 +385,8 @@ def _provenance(
         "code_sha256": code,
         "versions": versions,
         "inputs": [
-            {
-                "name": printable(path.relative_to(plan.folder).as_posix()),
-                "sha256": hashes[path].sha256,
-                "bytes": hashes[path].size,
-            }
-            for path in plan.files
+            {"name": printable(path.relative_to(plan.folder).as_posix()), "sha256": file.sha256, "bytes": file.size}
+            for path, file in ((path, hashes[path]) for path in plan.files)
         ],
         "manifest": plan.manifest.model_dump(mode="json"),
         "engine": engine,
@@ -421,10 +401,8 @@ def _accuracy_text(order_map: xr.Dataset | None) -> str:
     asked, predicted, achieved = (order_map.attrs[name] for name in ("tolerance", "predicted_error", "achieved_error"))
     measured = "not measured" if np.isnan(achieved) else f"{achieved:.1e} achieved"
     missed = " (missed)" if achieved > asked else ""
-    return (
-        f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {measured}, "
-        f"{asked:g} asked{missed}"
-    )
+    made = f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted"
+    return f"{made}, {measured}, {asked:g} asked{missed}"
 
 
 def engine_of_test(plan: CampaignPlan) -> Engine | None:
@@ -547,12 +525,9 @@ def _each(recordings: Recordings) -> dict[str, xr.Dataset]:
     order = first["channel"].values.astype(str).tolist()
     for name, recording in named.items():
         if _channels(recording) != _channels(first):
-            raise RequestError(
-                "the recordings of one test have the same channels, units and cycle",
-                file=name,
-                found=_channels(recording),
-                allowed=f"as {first_name}: {_channels(first)}",
-            )
+            problem = "the recordings of one test have the same channels, units and cycle"
+            allowed = f"as {first_name}: {_channels(first)}"
+            raise RequestError(problem, file=name, found=_channels(recording), allowed=allowed)
         channels = recording["channel"].values.astype(str).tolist()
         if channels != order:
             named[name] = recording.isel(channel=[channels.index(channel) for channel in order])

@@ -20,7 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.checks.doubts import RecordingResult
-from crankorder.quantities import Attribute, QualityFlag, ShaftAngle, unindexed
+from crankorder.quantities import QualityFlag, ShaftAngle, unindexed
 from crankorder.scratch import empty
 from crankorder.stages import FRAMES_OF
 
@@ -36,7 +36,7 @@ KEEPERS = 400
 IN_MEMORY_BYTES = 1 << 26
 """What is larger is laid on disk: a result into a file without a name, a part of a kept one stays in its file."""
 
-_MAGIC = b"crankorder frames 2\n"
+_MAGIC = b"crankorder frames 3\n"
 _DIGEST_BYTES = 32
 _LENGTH_BYTES = 8
 _ALIGNED = 16
@@ -203,10 +203,11 @@ class PackedResult(RecordingResult):
         part = self.bytes_of(self._first + begin, size)
         described, arrays = json.loads(part[:header].tobytes()), _Arrays(part[header:])
         variables = {
-            name: xr.Variable(dims, arrays.take(*array), _attrs_of(attrs, arrays))
+            name: xr.Variable(dims, arrays.take(*array), {key: arrays.take(*one) for key, one in attrs.items()})
             for name, dims, array, attrs in described["variables"]
         }
-        dataset = xr.Dataset(coords=unindexed(**variables), attrs=_attrs_of(described["attrs"], arrays))
+        attrs = {key: arrays.take(*one) for key, one in described["attrs"].items()}
+        dataset = xr.Dataset(coords=unindexed(**variables), attrs=attrs)
         dataset = dataset.reset_coords([name for name in variables if name not in described["coords"]])
         if id(self) in self._keepers or len(self._keepers) < KEEPERS:
             self._keepers[id(self)] = self
@@ -236,12 +237,15 @@ class _PackedFrames(Mapping[Any, xr.Dataset]):
 def _packed(dataset: xr.Dataset) -> list[bytes | memoryview]:
     """Pieces of ``dataset``: header, arrays; each a multiple of the alignment. TypeError where it cannot be kept."""
     arrays: list[NDArray[Any]] = []
+
+    def attrs(of: xr.Dataset | xr.Variable) -> dict[str, list[Any]]:
+        return {str(key): _described(value, arrays) for key, value in of.attrs.items()}
+
     variables = [
-        [str(name), list(variable.dims), _array(variable.values, arrays), _attrs(variable.attrs, arrays)]
+        [str(name), list(variable.dims), _described(variable.values, arrays), attrs(variable)]
         for name, variable in dataset.variables.items()
     ]
-    coords = [str(name) for name in dataset.coords]
-    described = {"variables": variables, "coords": coords, "attrs": _attrs(dataset.attrs, arrays)}
+    described = {"variables": variables, "coords": [str(name) for name in dataset.coords], "attrs": attrs(dataset)}
     header = json.dumps(described).encode()
     pieces: list[bytes | memoryview] = [header + b" " * (-len(header) % _ALIGNED)]
     for array in filter(np.size, arrays):  # looked at where they lie, in bytes
@@ -249,45 +253,29 @@ def _packed(dataset: xr.Dataset) -> list[bytes | memoryview]:
     return pieces
 
 
-def _attrs(attrs: dict[Any, Any], arrays: list[NDArray[Any]]) -> list[Any]:
-    """``attrs`` in their order, with what JSON has no word for named by its kind."""
-    made = []
-    for name, value in attrs.items():
-        if isinstance(value, np.generic | np.ndarray):
-            made.append([str(name), "array" if isinstance(value, np.ndarray) else "scalar", _array(value, arrays)])
-        else:
-            made.append([str(name), "tuple" if isinstance(value, tuple) else "plain", value])
-    return made
-
-
-def _array(values: Any, arrays: list[NDArray[Any]]) -> list[Any]:
-    array = np.asarray(values)
+def _described(value: Any, arrays: list[NDArray[Any]]) -> list[Any]:
+    """``value`` as JSON has it behind its kind, for which JSON has no word; an array joins ``arrays``."""
+    if not isinstance(value, np.generic | np.ndarray):
+        return ["tuple" if isinstance(value, tuple) else "plain", value]
+    array = np.asarray(value)
     if array.dtype.hasobject:
         raise TypeError("objects are not kept")
     arrays.append(array)
-    return [array.dtype.str, list(array.shape), array.nbytes]
+    return ["array" if isinstance(value, np.ndarray) else "scalar", [array.dtype.str, list(array.shape), array.nbytes]]
 
 
 class _Arrays:
-    """Arrays that lie one behind the other, taken in their order."""
+    """Arrays that lie one behind the other, taken in the order in which their values were described."""
 
     def __init__(self, memory: NDArray[np.uint8]) -> None:
         self._memory, self._place = memory, 0
 
-    def take(self, kind: str, shape: list[int], size: int) -> NDArray[Any]:
-        """The next array, of ``size`` bytes."""
-        count = int(np.prod(shape, dtype=np.int64))
-        array = np.frombuffer(self._memory, dtype=np.dtype(kind), count=count, offset=self._place) if count else None
-        self._place += -(-size // _ALIGNED) * _ALIGNED
-        return np.empty(shape, np.dtype(kind)) if array is None else array.reshape(shape)
-
-
-def _attrs_of(described: list[Any], arrays: _Arrays) -> dict[str, Attribute]:
-    attrs: dict[str, Attribute] = {}
-    for name, kind, value in described:
+    def take(self, kind: str, value: Any) -> Any:
+        """The next value as it was before it was described."""
         if kind in ("plain", "tuple"):
-            attrs[name] = tuple(value) if kind == "tuple" else value
-        else:
-            array = arrays.take(*value)
-            attrs[name] = array if kind == "array" else array[()]
-    return attrs
+            return tuple(value) if kind == "tuple" else value
+        dtype, shape, size = np.dtype(value[0]), value[1], value[2]
+        count = int(np.prod(shape, dtype=np.int64))
+        array = np.frombuffer(self._memory, dtype, count, self._place) if count else np.empty(shape, dtype)
+        self._place += -(-size // _ALIGNED) * _ALIGNED
+        return array.reshape(shape) if kind == "array" else array.reshape(shape)[()]

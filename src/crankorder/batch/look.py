@@ -72,18 +72,14 @@ def look_at(folder: Path, manifest_path: Path | None, *, jobs: int) -> Looked:
         return looked
     at_fault = {Path(fault.file) for fault in looked.faults if fault.file is not None}
     sound = [path for path in paths if path not in at_fault]
-    looks: dict[int, Look] = {}
-    refused: dict[int, CrankorderError] = {}
-
-    for number, answer in each(lambda at: look_at_recording(sound[at], manifest, settings), len(sound), jobs=jobs):
+    answers = dict(each(lambda at: look_at_recording(sound[at], manifest, settings), len(sound), jobs=jobs))
+    for number, path in enumerate(sound):
         try:
-            looks[number] = answer.result()
+            looked.looks.append(answers[number].result())
         except CrankorderError as error:
-            refused[number] = error
+            looked.faults.append(error)
         except WorkerDiedError as error:
-            refused[number] = InputError("the process that read it died", file=sound[number], found=error)
-    looked.faults += [refused[number] for number in sorted(refused)]
-    looked.looks = [looks[number] for number in sorted(looks)]
+            looked.faults.append(InputError("the process that read it died", file=path, found=error))
     return looked
 
 

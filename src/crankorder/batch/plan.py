@@ -108,10 +108,8 @@ class Outcome:
 
         folder = self.plan.out.name
         failed = [{"recording": self.plan.name_of(Path(fault.file)), "error": str(fault)} for fault in self.faults]
-        failed += [
-            {"recording": "", "error": f"internal fault: {type(error).__name__}: {printable(error)}"}
-            for error in self.internal
-        ]
+        internal = (f"internal fault: {type(error).__name__}: {printable(error)}" for error in self.internal)
+        failed += [{"recording": "", "error": error} for error in internal]
         return {
             "name": self.plan.name,
             "status": self.status,
@@ -187,11 +185,8 @@ def plan_tests(
     Raises RequestError where several tests are given one name. Where no folder can be run, or results would lie where
     they must not, raises the fault, or ManyErrors with those of all folders; nothing has been written then.
     """
-    asked = {
-        "orders": {} if tolerance is None else {"tolerance": tolerance},
-        "report": report or {},
-        "ingest": {} if max_memory_mb is None else {"in_memory_bytes": max_memory_mb * 1_000_000},
-    }
+    in_memory = {"in_memory_bytes": None if max_memory_mb is None else max_memory_mb * 1_000_000}
+    asked = {"orders": {"tolerance": tolerance}, "report": report or {}, "ingest": in_memory}
     folders = list({folder.resolve(): folder for folder in folders}.values())
     if name is not None and len(folders) > 1:
         raise RequestError("one name for several tests", file="--name", found=name, remedy="Run each test by itself")
@@ -337,9 +332,8 @@ def publish_index(
         try:
             now = {outcome.plan.out.name: outcome.record for outcome in outcomes if outcome.status == "failed"}
             done = {outcome.plan.out.name for outcome in outcomes} - set(now)
-            records = {
-                folder.name: marker.record for folder, marker in result_folder.finished_tests(out) if marker.record
-            }
+            finished = result_folder.finished_tests(out)
+            records = {folder.name: marker.record for folder, marker in finished if marker.record}
             failed = [record for record in result_folder.records_in(out) or [] if record["status"] == "failed"]
             records |= {str(record["folder"]): record for record in failed if record["folder"] not in done} | now
             tests = [records[name] for name in sorted(records, key=lambda name: natural_key(Path(name)))]

@@ -13,24 +13,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from crankorder.batch.result_folder import (
-    TIMINGS,
-    marker_of,
-    publish,
-    read_document,
-    read_findings,
-    result_folders,
-    settle,
-)
-from crankorder.batch.store import (
-    HashedFile,
-    code_sha256,
-    file_sha256,
-    json_bytes,
-    library_versions,
-    locked,
-    text_sha256,
-)
+from crankorder.batch import result_folder, store
+from crankorder.batch.store import HashedFile, file_sha256, json_bytes
 from crankorder.batch.workers import Worker, WorkerDiedError, each
 from crankorder.errors import EnvironmentFailure, InputError, RequestError
 from crankorder.findings import Findings
@@ -89,7 +73,7 @@ class ReportingProcess:
             paths = [path for plan in self._plans for path in plan.files]
             with ThreadPoolExecutor(max_workers=self._jobs) as pool:
                 hashed = dict(zip(paths, pool.map(HashedFile.of, paths), strict=True))
-            return (code_sha256(), library_versions()), hashed
+            return (store.code_sha256(), store.library_versions()), hashed
         if name == "load":
             return prepare(draws=any(plan.settings.report.pictures for plan in self._plans))
         if name == "index":
@@ -124,13 +108,11 @@ class ReportingProcess:
         The datasets ``groups`` (dims of ``data_schema/``) and the rest are those of :func:`files_of_test` of this
         module. Raises EnvironmentFailure where the process ends meanwhile.
         """
-        files: dict[str, bytes] = self._answer_to("write", groups, findings, provenance, settings)
-        return files
+        return dict(self._answer_to("write", groups, findings, provenance, settings))
 
     def index_page(self, tests: Sequence[Mapping[str, object]]) -> str:
         """HTML list of the ``tests`` of a run, as :func:`crankorder.report.page.index_page` makes it."""
-        page: str = self._answer_to("index", tests)
-        return page
+        return str(self._answer_to("index", tests))
 
     def close(self) -> None:
         """End the process."""
@@ -201,11 +183,11 @@ def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
     from crankorder.report.netcdf import read_results
 
     folder = (result if result.is_dir() or not result.suffix else result.parent).absolute()
-    with locked(folder):
-        settle(folder)
-        marker = marker_of(folder)
+    with store.locked(folder):
+        result_folder.settle(folder)
+        marker = result_folder.marker_of(folder)
         try:
-            findings = read_findings(folder)
+            findings = result_folder.read_findings(folder)
             provenance = json.loads((folder / "run.json").read_bytes())
             stated = load_settings().report.model_dump() | provenance["settings"]["report"] | dict(report or {})
             if marker is None:
@@ -222,8 +204,11 @@ def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
         settings = ReportSettings.model_validate(stated)
         files = files_of_test(groups, findings, provenance, settings)
         kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
-        timings = {TIMINGS: (folder / TIMINGS).read_bytes()} if (folder / TIMINGS).is_file() else {}
-        publish(folder, files | kept, key=marker.key, owner=marker.input, record=marker.record, besides=timings)
+        timings = folder / result_folder.TIMINGS
+        besides = {timings.name: timings.read_bytes()} if timings.is_file() else {}
+        result_folder.publish(
+            folder, files | kept, key=marker.key, owner=marker.input, record=marker.record, besides=besides
+        )
         return folder / "report.html"
 
 
@@ -244,13 +229,13 @@ def export_results(result: Path, out: Path, *, to: str, binary: bool = False) ->
         raise RequestError("no such format", file="export", place="to", found=to, allowed=", ".join(FORMATS))
     if binary and to != "uff58":
         raise RequestError("only universal files have a binary form", file="export", place="binary", found=to)
-    folders = result_folders(result)
+    folders = result_folder.result_folders(result)
     refuse_results(out, folders)
     written: list[Path] = []
     for folder in folders:
         files = _exported(folder, to, binary)
-        key = text_sha256(version("crankorder"), to, str(binary), file_sha256(folder / "results.nc"))
-        publish(out / f"{folder.name}-{to}", files, key=key)
+        key = store.text_sha256(version("crankorder"), to, str(binary), file_sha256(folder / "results.nc"))
+        result_folder.publish(out / f"{folder.name}-{to}", files, key=key)
         written += [out / f"{folder.name}-{to}" / name for name in files]
     return written
 
@@ -260,7 +245,7 @@ def _exported(folder: Path, to: str, binary: bool) -> dict[str, bytes]:
     from crankorder.interchange.export import csv_bytes, parquet_bytes, tables_of, uff58_bytes
     from crankorder.report.netcdf import published, read_results
 
-    test = str(read_document(folder / "run.json").get("test", folder.name))
+    test = str(result_folder.read_document(folder / "run.json").get("test", folder.name))
     groups = read_results(folder / "results.nc")
     if to == "uff58":
         if not {"order_tracks", "order_map", "campbell_map"} & set(groups):

@@ -31,6 +31,7 @@ FORMER = "former.json"
 BATCH, INDEX = "batch.json", "index.html"
 """What all tests of a folder gave, and its page."""
 
+FOREIGN = "holds files that no earlier run wrote"
 BATCH_VERSION = 1
 """Of ``batch.json``."""
 
@@ -70,12 +71,10 @@ def marker_of(folder: Path, name: str = DONE) -> Marker | None:
 def finished_with(folder: Path, key: str) -> bool:
     """Whether ``folder`` holds results that were finished with ``key`` and whose files are still those written."""
     marker = marker_of(folder)
+    if marker is None or marker.key != key:
+        return False
     try:
-        return (
-            marker is not None
-            and marker.key == key
-            and all(file_sha256(folder / name) == digest for name, digest in marker.outputs_sha256.items())
-        )
+        return all(file_sha256(folder / name) == digest for name, digest in marker.outputs_sha256.items())
     except OSError:
         return False
 
@@ -102,13 +101,10 @@ def refuse_foreign(folder: Path) -> None:
     if marker and "run.json" not in marker.outputs_sha256:
         found = sorted(marker.outputs_sha256)  # of a comparison or a balance
     if found:
-        raise RequestError(
-            "holds files that no earlier run wrote",
-            file=folder,
-            found=", ".join(printable(name, 60) for name in found[:5]) + (", …" if len(found) > 5 else ""),
-            allowed="a folder that is missing, empty, or was made by `crankorder run`",
-            remedy="Move them away, or choose another --out or --name: nothing of yours is overwritten",
-        )
+        shown = ", ".join(printable(name, 60) for name in found[:5]) + (", …" if len(found) > 5 else "")
+        allowed = "a folder that is missing, empty, or was made by `crankorder run`"
+        remedy = "Move them away, or choose another --out or --name: nothing of yours is overwritten"
+        raise RequestError(FOREIGN, file=folder, found=shown, allowed=allowed, remedy=remedy)
 
 
 def refuse_others(folder: Path, owner: Owner) -> None:
@@ -158,7 +154,7 @@ def publish(
     shared = sorted(set(foreign_in(folder)) & set(files))
     if shared:
         remedy = "Choose another --out: nothing of yours is overwritten"
-        raise RequestError("holds files that no earlier run wrote", file=folder, found=", ".join(shared), remedy=remedy)
+        raise RequestError(FOREIGN, file=folder, found=", ".join(shared), remedy=remedy)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         settle(folder)
@@ -294,10 +290,9 @@ def read_document(path: Path) -> dict[str, Any]:
         raise InputError("results that cannot be read", file=path, found=error, remedy=remedy) from error
     stated = document.get("schema_version") if isinstance(document, dict) else None
     if stated != SCHEMA_VERSION or not isinstance(document, dict):
-        problem = "results of another version of the program"
-        found = f"schema_version {stated}"
-        allowed = f"schema_version {SCHEMA_VERSION}"
-        raise InputError(problem, file=path, found=found, allowed=allowed, remedy=f"{remedy} with this version")
+        problem, allowed = "results of another version of the program", f"schema_version {SCHEMA_VERSION}"
+        found, remedy = f"schema_version {stated}", f"{remedy} with this version"
+        raise InputError(problem, file=path, found=found, allowed=allowed, remedy=remedy)
     return document
 
 

@@ -30,8 +30,6 @@ PAUSE_S = 0.05
 
 WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, getattr(errno, "EBADFD", errno.ENOLCK))
 
-CHUNK = 1 << 18
-
 _BEYOND_ASCII = re.compile(r"[^\x00-\x7e]")
 
 CHANGED = "changed while it was read"
@@ -73,12 +71,7 @@ def file_sha256(path: Path) -> str:
 
 
 def _stream_sha256(stream: FileIO) -> str:
-    digest = hashlib.sha256()
-    buffer = bytearray(CHUNK)
-    view = memoryview(buffer)
-    while count := stream.readinto(buffer):
-        digest.update(view[:count])
-    return digest.hexdigest()
+    return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _state(stat: os.stat_result) -> tuple[int, ...]:

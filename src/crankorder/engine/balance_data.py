@@ -17,7 +17,7 @@ from pydantic import Discriminator, Field, Tag, ValidationInfo, computed_field, 
 from crankorder.engine.definition import Engine, engine_table, validated
 from crankorder.engine.forces import crankcase_forces, firing_intervals_deg
 from crankorder.engine.machine_parts import ASCENDING, NOT_EMPTY, EngineData, NonNegative, Positive
-from crankorder.errors import CrankorderError, ManyErrors, RequestError
+from crankorder.errors import CrankorderError, ManyErrors, RequestError, located
 
 DesignOrder = Annotated[int, Field(ge=1, le=12)]
 
@@ -199,9 +199,8 @@ class FanCounterweight(EngineData):
     def section(self) -> CrankshaftSection:
         """The counterweight as a section of its crankshaft."""
         centre = -1j * self.centroid_mm * cmath.exp(-1j * math.radians(self.angle_deg))
-        return CrankshaftSection(
-            name=self.name, mass_kg=self.mass_kg, x_mm=centre.real, y_mm=centre.imag, z_mm=self.z_mm
-        )
+        place = {"x_mm": centre.real, "y_mm": centre.imag, "z_mm": self.z_mm}
+        return CrankshaftSection(name=self.name, mass_kg=self.mass_kg, **place)
 
     def resized(self, unbalance_kg_mm: float) -> dict[str, float | None]:
         """The radius (mm), the thickness (mm) or the fan angle (degrees) that alone gives another unbalance.
@@ -300,12 +299,8 @@ class CrankshaftData(EngineData):
     def places(self) -> dict[str, float]:
         """Place of each counterweight along the crankshaft (mm), by name; it is corrected in the first and the last."""
         by_name = {section.name: section.z_mm for section in self.sections}
-        return {
-            (weight if isinstance(weight, str) else weight.name): (
-                by_name[weight] if isinstance(weight, str) else weight.z_mm
-            )
-            for weight in self.counterweights
-        }
+        placed = [(one, by_name[one]) if isinstance(one, str) else (one.name, one.z_mm) for one in self.counterweights]
+        return dict(placed)
 
     @cached_property
     def parts(self) -> tuple[CrankshaftSection, ...]:
@@ -506,10 +501,10 @@ def _unanswered(engine: Engine, source: str) -> list[CrankorderError]:
     faults: list[CrankorderError] = []
     for question in questions:
         try:
-            question()
+            with located(source):
+                question()
         except RequestError as error:
-            problem, place, found, remedy = error.problem, error.place, error.found, error.remedy
-            faults.append(RequestError(problem, file=source, place=place, found=found, remedy=remedy))
+            faults.append(error)
     return faults
 
 

@@ -9,43 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.engine import balancing, shafts
 from crankorder.engine.balance_data import BalancedEngine, GearTolerances, GearTrain, ShaftPairParts, UnbalanceClass
-from crankorder.engine.balancing import (
-    POSSIBILITIES,
-    SHAFTS,
-    STRATEGIES,
-    Possibility,
-    Strategy,
-    by_axis,
-    counterweights,
-    degrees_of,
-    designs_for,
-    forces_of,
-    moments_of,
-    polar_diagram,
-    primary_shares,
-    rod_counterweight_couple,
-    roll_height_m,
-    systems,
-    throw_counterweights,
-)
+from crankorder.engine.balancing import POSSIBILITIES, STRATEGIES, Possibility, Strategy
 from crankorder.engine.cycle_tables import cycle_balance
 from crankorder.engine.definition import BalanceShafts, Engine, Weight
 from crankorder.engine.forces import Amounts, newton, speed_key
-from crankorder.engine.shafts import (
-    Series,
-    crankshaft_balance,
-    gear_speed_ratios,
-    series_residuals,
-    tolerance_study,
-    weight_moments,
-    weighted_wheels,
-)
+from crankorder.engine.shafts import Series
 from crankorder.engine.slider_crank import (
     SliderCrank,
     acceleration_harmonics,
@@ -73,7 +48,7 @@ def balance_sheet(subject: BalancedEngine, *, max_order: int = 8, speeds_rpm: Se
     """
     speeds = tuple(float(speed) for speed in (subject.balance.speeds_rpm if speeds_rpm is None else speeds_rpm))
     _check(subject.engine, max_order, speeds)
-    engine, data, single, ways = subject.engine, subject.balance, subject.is_single, systems(subject)
+    engine, data, single, ways = subject.engine, subject.balance, subject.is_single, balancing.systems(subject)
     plain = ways["none"]
     left = {name: _left(way, max_order) for name, way in ways.items()}
     force, moment = left["none"]["residual_g_mm"], left["none"]["residual_moment_g_mm2"]
@@ -95,7 +70,7 @@ def balance_sheet(subject: BalancedEngine, *, max_order: int = 8, speeds_rpm: Se
         "force_g_mm": force,
         "force_phase_deg": left["none"]["residual_phase_deg"],
         "moment_g_mm2": moment,
-        "moment_phase_deg": moments_of(engine.bare, max_order, degrees_of),
+        "moment_phase_deg": balancing.moments_of(engine.bare, max_order, balancing.degrees_of),
         "leading_g_mm": _leading(plain, max_order) if single and not engine.offset_m else None,
         "force_n": {
             speed_key(speed): {axis: amounts and _newtons(amounts, speed) for axis, amounts in force.items()}
@@ -121,22 +96,18 @@ def _check(engine: Engine, max_order: int, speeds: Sequence[float]) -> None:
         raise RequestError("no such balance sheet", found=f"order {max_order}, speeds {speeds} rpm", allowed=allowed)
     highest = max(engine.shafts.every_order, default=0)
     if highest > max_order:
-        problem, remedy = (
-            "the engine has shafts beyond the highest order of the tables",
-            f"Ask for --max-order {highest}",
-        )
-        raise RequestError(
-            problem, place="shafts", found=f"order {highest}", allowed=f"up to {max_order}", remedy=remedy
-        )
+        problem, found = "the engine has shafts beyond the highest order of the tables", f"order {highest}"
+        allowed, remedy = f"up to {max_order}", f"Ask for --max-order {highest}"
+        raise RequestError(problem, place="shafts", found=found, allowed=allowed, remedy=remedy)
 
 
 def _left(engine: Engine, max_order: int) -> Sheet:
     """Force and moment of ``engine`` by axis and order: what a way of balancing leaves."""
-    forces = forces_of(engine, max_order)
+    forces = balancing.forces_of(engine, max_order)
     return {
-        "residual_g_mm": by_axis(forces),
-        "residual_phase_deg": by_axis(forces, degrees_of),
-        "residual_moment_g_mm2": moments_of(engine, max_order),
+        "residual_g_mm": balancing.by_axis(forces),
+        "residual_phase_deg": balancing.by_axis(forces, balancing.degrees_of),
+        "residual_moment_g_mm2": balancing.moments_of(engine, max_order),
     }
 
 
@@ -196,10 +167,11 @@ def _strategy(subject: BalancedEngine, ways: dict[str, Engine], name: Strategy, 
     if name not in ways:
         return None
     plain, places, couple = ways["none"], subject.balance.places, None
-    added = counterweights(plain, name, places)
-    first, *higher = forces_of(ways[name], max_order)
+    added = balancing.counterweights(plain, name, places)
+    first, *higher = balancing.forces_of(ways[name], max_order)
     if places.rod_mm is not None and name == "d" and not plain.offset_m:
-        couple = float(np.abs(rod_counterweight_couple(plain, added.rod_g, places.rod_mm, FULL_TURN_REV)).max())
+        course = balancing.rod_counterweight_couple(plain, added.rod_g, places.rod_mm, FULL_TURN_REV)
+        couple = float(np.abs(course).max())
     return {
         "counterweight_g": added.crank_g,
         "counterweight_deg": added.crank_deg,
@@ -208,7 +180,7 @@ def _strategy(subject: BalancedEngine, ways: dict[str, Engine], name: Strategy, 
         "residual_x_g_mm": abs(first.x_g_mm),
         "residual_y_g_mm": abs(first.y_g_mm),
         "rotation": first.rotation,
-        "higher_orders_x_g_mm": by_axis(higher)["x"],
+        "higher_orders_x_g_mm": balancing.by_axis(higher)["x"],
         "couple_g_mm2": couple,
     }
 
@@ -224,7 +196,7 @@ def _shafts(subject: BalancedEngine, ways: dict[str, Engine], left: dict[str, Sh
 
 
 def _shaft_set(engine: Engine, left: Sheet, name: Possibility) -> Sheet:
-    shafts = [
+    weights = [
         {
             "speed_ratio": shaft.speed_ratio,
             "unbalance_g_mm": weight.unbalance_g_mm,
@@ -234,7 +206,7 @@ def _shaft_set(engine: Engine, left: Sheet, name: Possibility) -> Sheet:
         for shaft in engine.shafts.single
         for weight in shaft.weights
     ]
-    return {"strategy": SHAFTS[name][0], "shafts": shafts, **left}
+    return {"strategy": balancing.SHAFTS[name][0], "shafts": weights, **left}
 
 
 def _built_for_ratio(engine: Engine, speeds: Sequence[float]) -> Sheet:
@@ -293,15 +265,15 @@ def _tolerance(subject: BalancedEngine, max_order: int) -> Sheet | None:
     if tolerances is None:
         return None
     own = engine.shafts.every_order
-    designed = {} if own or len(engine.cylinders) == 1 else designs_for(subject)
+    designed = {} if own or len(engine.cylinders) == 1 else balancing.designs_for(subject)
     name, studied = list({"own" if own else "none": engine, **designed}.items())[-1]
     highest = max([max_order, *studied.shafts.every_order])
-    return {"of": name, **series_residuals(studied, tolerances, max_order=highest)}
+    return {"of": name, **shafts.series_residuals(studied, tolerances, max_order=highest)}
 
 
 def _design(subject: BalancedEngine, ways: dict[str, Engine], left: dict[str, Sheet]) -> Sheet:
     """Crank webs and shafts of every design for several cylinders, and what it leaves."""
-    engine, height = subject.engine, roll_height_m(subject.engine)
+    engine, height = subject.engine, balancing.roll_height_m(subject.engine)
     layouts = {
         name: {
             "webs": _placed(way.webs[len(engine.webs) :]),
@@ -315,8 +287,8 @@ def _design(subject: BalancedEngine, ways: dict[str, Engine], left: dict[str, Sh
     }
     return {
         "planes_mm": [1e3 * place for place in subject.planes_m],
-        "primary_share": primary_shares(engine),
-        "throw_counterweights": _placed(throw_counterweights(engine)),
+        "primary_share": balancing.primary_shares(engine),
+        "throw_counterweights": _placed(balancing.throw_counterweights(engine)),
         "roll_height_mm": None if height is None else 1e3 * height,
         "layouts": layouts,
     }
@@ -335,7 +307,7 @@ def _crankshaft(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet | Non
     if data is None:
         return None
     big_ends = {} if splits is None else {name: split.big_end_g for name, split in splits.by_method.items()}
-    return crankshaft_balance(data, {speed_key(speed): speed for speed in speeds}, big_ends_g=big_ends)
+    return shafts.crankshaft_balance(data, {speed_key(speed): speed for speed in speeds}, big_ends_g=big_ends)
 
 
 def _rod(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet | None:
@@ -350,10 +322,8 @@ def _rod(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet | None:
     cut, scale = splits.cut, splits.scale
     radius_mm, length_mm = engine.crank_radius_m * 1e3, engine.rod_length_m * 1e3
     deficit, excess = scale.big_end_g - cut.big_end_g, cut.small_end_g - scale.small_end_g
-    across, second = (
-        deficit * radius_mm,
-        excess * radius_mm * float(abs(acceleration_harmonics(engine.mechanism, 2)[2])),
-    )
+    across = deficit * radius_mm
+    second = excess * radius_mm * float(abs(acceleration_harmonics(engine.mechanism, 2)[2]))
     return {
         "methods": {name: split.model_dump() for name, split in splits.by_method.items()},
         "weighed_whole_g": splits.weighed_whole_g,
@@ -429,20 +399,18 @@ def _reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet |
         return None
     sliding = 1e3 * engine.reciprocating_mass_kg * 1e3 * plain_piston_acceleration(FULL_TURN_REV, engine.mechanism)
     moments, residual, across = {}, {}, 0.0
-    no_piston = Engine(
-        crank_radius_m=engine.crank_radius_m, rod_length_m=engine.rod_length_m, reciprocating_mass_kg=0.0
-    )
-    both: tuple[Series, ...] = ("leading", "exact")
-    for series in both:
-        moments[series] = {str(k): size for k, size in weight_moments(engine, second=series).items()}
-        wheels = weighted_wheels(train, engine, second=series)
+    radius_m, length_m = engine.crank_radius_m, engine.rod_length_m
+    no_piston = Engine(crank_radius_m=radius_m, rod_length_m=length_m, reciprocating_mass_kg=0.0)
+    for series in get_args(Series)[::-1]:
+        moments[series] = {str(k): size for k, size in shafts.weight_moments(engine, second=series).items()}
+        wheels = shafts.weighted_wheels(train, engine, second=series)
         turning = no_piston.model_copy(update={"shafts": BalanceShafts(single=tuple(wheels.values()))})
-        force = polar_diagram(forces_of(turning, 2), FULL_TURN_REV)
+        force = balancing.polar_diagram(balancing.forces_of(turning, 2), FULL_TURN_REV)
         residual[series], across = float(np.abs(sliding + force.real).max()), float(np.abs(force.imag).max())
     radius = {gear.name: gear.weight_radius_mm or math.inf for gear in train.gears}
-    couple = moments_of(turning, 2)["about_crankshaft"] or {}
+    couple = balancing.moments_of(turning, 2)["about_crankshaft"] or {}
     return {
-        "speed_ratios": gear_speed_ratios(train),
+        "speed_ratios": shafts.gear_speed_ratios(train),
         "pair_moments_g_mm": moments,
         "weights_g": {name: wheel.weights[0].unbalance_g_mm / radius[name] for name, wheel in wheels.items()},
         "couple_g_mm2": sum(couple.values(), 0.0),
@@ -456,7 +424,7 @@ def _reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet |
 def _gear_errors(train: GearTrain, engine: Engine, tolerances: GearTolerances) -> Sheet:
     """Median and 95 % bound of what sampled gear errors leave, by order."""
     errors: Sheet = {"errors": tolerances.model_dump()}
-    for what, by_order in tolerance_study(train, engine, tolerances).items():
+    for what, by_order in shafts.tolerance_study(train, engine, tolerances).items():
         both = {order: np.quantile(sizes, [0.5, 0.95]).tolist() for order, sizes in by_order.items()}
         errors[what] = {order: {"median": middle, "95 %": high} for order, (middle, high) in both.items()}
     return errors

@@ -268,8 +268,7 @@ def rod_counterweight_couple(
     rod_cosine = np.hypot(cosine, np.sqrt((1 - ratio) * (1 + ratio)) * sine)
     swing = 1e3 * plain_piston_acceleration(crank_angle_rev, engine.mechanism) - radius * cosine  # length · λ² · D
     place_x, place_y = radius * cosine - rod_mm * rod_cosine, (radius + rod_mm * ratio) * sine
-    couple: NDArray[np.float64] = rod_g * place_y * (place_x - radius * cosine + rod_mm / length * swing)
-    return couple
+    return np.asarray(rod_g * place_y * (place_x - radius * cosine + rod_mm / length * swing))
 
 
 def balanced(engine: Engine, strategy: Strategy) -> Engine:

@@ -9,20 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from crankorder.engine import forces
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import (
-    Amounts,
-    CylinderLoads,
-    cylinder_loads,
-    firing_angle_deg,
-    firing_intervals_deg,
-    gas_force,
-    gas_torque,
-    gas_torque_by_order,
-    inertia_torque,
-    main_bearing_loads,
-    speed_key,
-)
+from crankorder.engine.forces import Amounts, CylinderLoads
 from crankorder.engine.slider_crank import Complex, last_order_above_round_off
 from crankorder.engine.torsional_fluctuation import Floats, lag_from_torque, over_a_cycle
 from crankorder.errors import RequestError
@@ -62,13 +51,13 @@ def cycle_curves(engine: Engine, speeds: Sequence[float]) -> list[CycleCurves]:
     gas = np.zeros(angles.size)
     if engine.gas is not None:
         for single, cylinder in zip(engine.each, engine.cylinders, strict=True):
-            gas += gas_torque(single, angles - firing_angle_deg(engine, cylinder) / 360)
+            gas += forces.gas_torque(single, angles - forces.firing_angle_deg(engine, cylinder) / 360)
     numbers = range(len(engine.cylinders)) if _has_loads(engine) else range(0)
     top = min(max(last_order_above_round_off(single.mechanism) for single in engine.each), MOST_TORQUE_ORDERS)
-    of_masses = inertia_torque(engine, top)
+    of_masses = forces.inertia_torque(engine, top)
 
     def at(speed_rpm: float) -> CycleCurves:
-        loads = tuple(cylinder_loads(engine, angles, speed_rpm, cylinder=number) for number in numbers)
+        loads = tuple(forces.cylinder_loads(engine, angles, speed_rpm, cylinder=number) for number in numbers)
         with_places = bool(loads) and bool(engine.main_bearings_m)
         by_order = of_masses * (speed_rpm * math.pi / 30) ** 2
         return CycleCurves(
@@ -77,7 +66,7 @@ def cycle_curves(engine: Engine, speeds: Sequence[float]) -> list[CycleCurves]:
             gas_n_m=gas,
             inertia_n_m=np.tile(over_a_cycle(by_order, ANGLES_PER_REV), engine.revs_per_cycle),
             loads=loads,
-            bearings_n=main_bearing_loads(engine, angles, speed_rpm, loads) if with_places else None,
+            bearings_n=forces.main_bearing_loads(engine, angles, speed_rpm, loads) if with_places else None,
         )
 
     return [at(speed) for speed in speeds]
@@ -90,9 +79,9 @@ def cycle_balance(engine: Engine, *, max_order: int, speeds: Sequence[float]) ->
     torques. ``speeds``: rpm, > 0. Raises RequestError for a firing engine of several cylinders without their firing
     angles.
     """
-    gas = np.zeros(0, dtype=np.complex128) if engine.gas is None else gas_torque_by_order(engine, max_order)[1]
-    masses = np.abs(inertia_torque(engine, max_order))
-    curves = {speed_key(speed): curve for speed, curve in zip(speeds, cycle_curves(engine, speeds), strict=True)}
+    gas = np.zeros(0, dtype=np.complex128) if engine.gas is None else forces.gas_torque_by_order(engine, max_order)[1]
+    masses = np.abs(forces.inertia_torque(engine, max_order))
+    curves = {forces.speed_key(speed): curve for speed, curve in zip(speeds, cycle_curves(engine, speeds), strict=True)}
     return {
         "firing": _firing(engine),
         "gas": None if engine.gas is None else _gas(engine, gas),
@@ -111,10 +100,10 @@ def _firing(engine: Engine) -> dict[str, Any] | None:
     if engine.cycle == "rotor":
         return None
     try:
-        intervals = firing_intervals_deg(engine)
+        intervals = forces.firing_intervals_deg(engine)
     except RequestError:
         return None
-    angles = [firing_angle_deg(engine, cylinder) for cylinder in engine.cylinders]
+    angles = [forces.firing_angle_deg(engine, cylinder) for cylinder in engine.cylinders]
     spread = max(intervals) - min(intervals)
     return {"angle_deg": angles, "interval_deg": list(intervals), "even": spread < EVEN_DEG, "spread_deg": spread}
 
@@ -123,7 +112,7 @@ def _gas(engine: Engine, torque: Complex) -> dict[str, Any]:
     """Torque of the gas on the crank, and its force on one piston; that is None where the file states a torque."""
     force, cycle = None, engine.revs_per_cycle
     if _has_loads(engine):
-        curve = gas_force(engine.each[0], np.arange(cycle * ANGLES_PER_REV) / ANGLES_PER_REV)
+        curve = forces.gas_force(engine.each[0], np.arange(cycle * ANGLES_PER_REV) / ANGLES_PER_REV)
         lines = _kept(2 * np.abs(np.fft.rfft(curve))[: torque.size] / curve.size, cycle)
         at = int(np.argmax(curve))
         force = {"peak_n": float(curve[at]), "peak_deg": 360 * at / ANGLES_PER_REV, "by_order_n": lines}

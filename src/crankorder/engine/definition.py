@@ -322,18 +322,12 @@ class Engine(EngineData):
         """An engine for each cylinder alone, without shafts and webs, its masses and offset those of the cylinder."""
         own = ("reciprocating_mass_kg", "rotating_unbalance_kg_m", "rotating_unbalance_deg", "offset_m")
         none: dict[str, None] = dict.fromkeys(own)
-        return tuple(
-            Engine.model_construct(
-                **{
-                    **{key: getattr(self, key) for key in Engine.model_fields},
-                    "cylinders": (cylinder.model_copy(update=none),),
-                    "shafts": BalanceShafts(),
-                    "webs": (),
-                    **{key: value for key in own if (value := getattr(cylinder, key)) is not None},
-                }
-            )
-            for cylinder in self.cylinders
-        )
+        singles = []
+        for cylinder in self.cylinders:
+            alone = {"shafts": BalanceShafts(), "webs": (), "cylinders": (cylinder.model_copy(update=none),)}
+            stated = {key: value for key in own if (value := getattr(cylinder, key)) is not None}
+            singles.append(self.model_copy(update={**alone, **stated}))
+        return tuple(singles)
 
     @property
     def pistons_alone(self) -> Engine:

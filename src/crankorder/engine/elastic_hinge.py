@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
@@ -339,19 +340,14 @@ def air_spring(
     crank_angle_rev, weight = branch_quadrature(crank, torque)
     if joint == "pin":
         weight = weight * rod_motion(crank_angle_rev, crank).hinge_rate
-    designed, needed = (
-        _spring_moment(crank_angle_rev, crank, torque, joint=joint, speed_rpm=speed)
-        for speed in (designed_speed_rpm, speed_rpm)
-    )
+    both = (designed_speed_rpm, speed_rpm)
+    designed, needed = (_spring_moment(crank_angle_rev, crank, torque, joint=joint, speed_rpm=rpm) for rpm in both)
     strength = float(weight @ designed**2)
     if strength == 0:
         raise RequestError("guides without a moment cannot be scaled to another speed", found=designed_speed_rpm)
     ratio = float(weight @ (designed * needed)) / strength
     residual_rms = float(np.sqrt(weight @ (needed - ratio * designed) ** 2))
-    tables = [
-        hinge_table(crank, torque, joint=joint, speed_rpm=speed, n_steps=_SWING_STEPS)
-        for speed in (designed_speed_rpm, speed_rpm)
-    ]
+    tables = [hinge_table(crank, torque, joint=joint, speed_rpm=rpm, n_steps=_SWING_STEPS) for rpm in both]
     swing = float(np.ptp(tables[1].work_j - ratio * tables[0].work_j))
     energy = float(np.mean(reduced_inertia(tables[0].crank_angle_rev[:-1], crank))) * (speed_rpm * np.pi / 30) ** 2
     needed_rms = float(np.sqrt(weight @ needed**2))
@@ -438,6 +434,9 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
         shaking = [0.0, 0.0]
     by_key = {str(round(speed, 6)): speed for speed in speeds}
     works = {"pin": pin_hinge_work, "strut": strut_hinge_work}
+    cut_for = {"designed_speed_rpm": speeds[0]}  # the guides
+    others = product(JOINTS, speeds[1:])
+    springs = [_solution(air_spring, crank, curve, joint=joint, speed_rpm=rpm, **cut_for) for joint, rpm in others]
     stated = zip(JOINTS, (data.pin_guides, data.strut_guides), strict=True)
     return {
         "name": data.name,
@@ -457,16 +456,7 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
         },
         "solutions": _solutions(crank, curve),
         "characteristic": {joint: _characteristic(crank, curve, joint, max(speeds)) for joint in JOINTS},
-        "air_spring": [
-            spring
-            for joint in JOINTS
-            for speed in speeds[1:]  # the guides are cut for the first
-            if (
-                spring := _solution(
-                    air_spring, crank, curve, joint=joint, designed_speed_rpm=speeds[0], speed_rpm=speed
-                )
-            )
-        ],
+        "air_spring": [spring for spring in springs if spring is not None],
         "guides": {
             joint: None if guides is None else _guides(crank, curve, joint, max(speeds), guides)
             for joint, guides in stated

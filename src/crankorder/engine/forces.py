@@ -147,8 +147,7 @@ def inertia_torque(engine: Engine, max_order: int) -> Complex:
     A line is Re(torque · exp(2πi order rev)), rev the engine's crank angle. ``max_order``: ≥ 1.
     """
     each = _for_each(engine, inertia_torque_by_order, max_order)
-    torque: Complex = (_phases(engine, max_order) * each).sum(axis=0)
-    return torque
+    return np.asarray((_phases(engine, max_order) * each).sum(axis=0))
 
 
 def _for_each(engine: Engine, by_order: Callable[[Engine, int], Complex], max_order: int) -> Complex:

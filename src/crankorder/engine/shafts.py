@@ -6,7 +6,7 @@ Source of the first: Ruckle 2014, section 3.1.1, table 2 and figure 12.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, Literal
 
@@ -193,13 +193,8 @@ def tolerance_study(train: GearTrain, engine: Engine, tolerances: GearTolerances
     driven = [gear.name for gear in train.gears if gear.driven_by is not None]
     errors = gear_errors_deg(train, {name: tolerances.mesh_deg * chance.standard_normal(size) for name in driven})
     wheels = weighted_wheels(train, engine)
-    along, across, couple = (
-        {
-            f"{order}": np.zeros(size, dtype=np.complex128)
-            for order in sorted({abs(w.speed_ratio) for w in wheels.values()})
-        }
-        for _ in range(3)
-    )
+    orders = [f"{order}" for order in sorted({abs(wheel.speed_ratio) for wheel in wheels.values()})]
+    along, across, couple = ({order: np.zeros(size, dtype=np.complex128) for order in orders} for _ in range(3))
     for name, wheel in wheels.items():
         order, sense = f"{abs(wheel.speed_ratio)}", math.copysign(1, wheel.speed_ratio)
         turned = np.exp(1j * np.radians(np.asarray(errors[name])))
@@ -208,11 +203,9 @@ def tolerance_study(train: GearTrain, engine: Engine, tolerances: GearTolerances
         arm = 1e3 * complex(wheel.z_m, wheel.x_m) + shift
         force = -(wheel.speed_ratio**2) * wheel.weights[0].unbalance_g_mm
         # complex amplitudes of cos(order φ): what turns against the crank enters by its conjugate
-        wrong, acting, lever = (
-            (faulty - 1, faulty, arm.conj()) if sense > 0 else ((faulty - 1).conj(), faulty.conj(), arm)
-        )
-        along[order] += force * wrong
-        across[order] += sense * force * wrong
+        acting, lever = (faulty, arm.conj()) if sense > 0 else (faulty.conj(), arm)
+        along[order] += force * (acting - 1)
+        across[order] += sense * force * (acting - 1)
         couple[order] -= 1j * sense * lever * force * acting
     left = {"along_g_mm": along, "across_g_mm": across, "couple_g_mm2": couple}
     return {what: {order: np.abs(size) for order, size in sizes.items()} for what, sizes in left.items()}
@@ -251,23 +244,20 @@ def series_residuals(engine: Engine, tolerances: BalanceTolerances, *, max_order
     not below any shaft's.
     The residual of an order is the most of a turn: the large half axis of its ellipse.
     """
+
+    def by_order(values: Iterable[Any]) -> dict[str, Any]:
+        return {str(k): value for k, value in enumerate(values, start=1)}
+
     studied = with_single_shafts(engine, max_order)
     late_deg, keys, late = tolerances.mistiming_deg, ("force_g_mm", "couple_g_mm2"), None
     if late_deg is not None and studied.shafts.single:
         sizes = _series_left(studied, BalanceTolerances(samples=100), max_order, late_deg)[:, 0].tolist()
-        late = {
-            "deg": late_deg,
-            "orders": [str(k) for k in sorted({abs(shaft.speed_ratio) for shaft in studied.shafts.single})],
-            **{
-                key: {str(k): size for k, size in enumerate(left, start=1)}
-                for key, left in zip(keys, sizes, strict=True)
-            },
-        }
+        orders = [str(k) for k in sorted({abs(shaft.speed_ratio) for shaft in studied.shafts.single})]
+        left = {key: by_order(of_key) for key, of_key in zip(keys, sizes, strict=True)}
+        late = {"deg": late_deg, "orders": orders, **left}
     shares = np.quantile(_series_left(studied, tolerances, max_order), list(QUANTILES.values()), axis=1)
-    spreads = {
-        key: {str(k): dict(zip(QUANTILES, by_share, strict=True)) for k, by_share in enumerate(left, start=1)}
-        for key, left in zip(keys, shares.transpose(1, 2, 0).tolist(), strict=True)
-    }
+    by_key = zip(keys, shares.transpose(1, 2, 0).tolist(), strict=True)
+    spreads = {key: by_order(dict(zip(QUANTILES, one, strict=True)) for one in of_key) for key, of_key in by_key}
     return {"samples": tolerances.samples, "seed": tolerances.seed, **spreads, "mistiming": late}
 
 

@@ -61,8 +61,7 @@ class Lag:
     def at(self, crank_angle_rev: ArrayLike, speed_rpm: float) -> Floats:
         """Lag (rev) at ``crank_angle_rev`` (any shape) and the mean ``speed_rpm``: mean less crank angle."""
         turned = np.exp(2j * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)[..., None] * self.order)
-        lag: Floats = (turned @ self.by_order(speed_rpm)).real
-        return lag
+        return np.asarray((turned @ self.by_order(speed_rpm)).real)
 
     @cached_property
     def step(self) -> float:
@@ -176,11 +175,14 @@ def lag_of_speed(speed: Complex, *, step: float) -> Lag:
 
 def stops_within_cycle(speed_rpm: float, slowest_rpm: float) -> RequestError:
     """Error of a shaft whose lag stops it at the mean ``speed_rpm``, not above the lag's ``slowest_rpm``."""
-    problem = "the shaft would stop within the cycle"
-    found = f"a mean speed of {speed_rpm:g} rpm"
     allowed = "no speed" if math.isinf(slowest_rpm) else f"steady speeds above {slowest_rpm:.6g} rpm"
+    return _stops("in-cycle speed", f"a mean speed of {speed_rpm:g} rpm", allowed)
+
+
+def _stops(place: str, found: str, allowed: str) -> RequestError:
     remedy = "Take a larger flywheel, a higher speed or less in-cycle speed"
-    return RequestError(problem, place="in-cycle speed", found=found, allowed=allowed, remedy=remedy)
+    problem = "the shaft would stop within the cycle"
+    return RequestError(problem, place=place, found=found, allowed=allowed, remedy=remedy)
 
 
 def _work(torque: Complex, orders: Floats) -> Complex:
@@ -238,7 +240,5 @@ def _lag(inertia: Complex, gas: Complex, step: float, reference_rpm: float) -> L
 
 
 def _too_slow(share: float, place: str) -> RequestError:
-    problem = "the shaft would stop within the cycle"
     found = f"a slowest speed at or below {100 * share:.3g} % of the mean"
-    remedy = "Take a larger flywheel, a higher speed or less in-cycle speed"
-    return RequestError(problem, place=place, found=found, allowed=f"above {100 * SLOWEST_SHARE:g} %", remedy=remedy)
+    return _stops(place, found, f"above {100 * SLOWEST_SHARE:g} %")

@@ -221,36 +221,22 @@ def _expanded(
         carrier = float(order[lines[0]] % step) if number else 0.0
         n_angles = 1 << max(8, math.ceil(math.log2(8 * (float(order.max()) + 2) / step)))
         while True:
-            spectrum = _spectrum(lines, order, amplitude, (carrier, step, n_angles), other, scale)
+            angle = np.arange(n_angles) / (n_angles * step)
+            turned, *rates = other(angle)
+            shift = carrier * (turned - angle)
+            total = np.zeros((len(amplitude), n_angles), dtype=np.complex128)
+            for line in lines:
+                # whole multiples of the step: the phase is small, and exact after any number of turns
+                phase = step * round((order[line] - carrier) / step) * turned + shift
+                total += amplitude[:, line, None] * (scale(line, *rates) * np.exp(2j * np.pi * phase))
+            spectrum = np.fft.fft(total, axis=1) / n_angles
             size = np.abs(spectrum).max(axis=0)
-            unresolved = size[3 * n_angles // 8 : 5 * n_angles // 8].max() > RESOLVED * size.max()
-            if not unresolved or n_angles >= MOST_ANGLES:
+            if n_angles >= MOST_ANGLES or not size[3 * n_angles // 8 : 5 * n_angles // 8].max() > RESOLVED * size.max():
                 break
             n_angles *= 2
         orders.append(np.asarray(carrier + step * np.fft.fftfreq(n_angles, 1 / n_angles), dtype=np.float64))
         spectra.append(spectrum)
     return _merged(np.concatenate(orders), np.concatenate(spectra, axis=1), order)
-
-
-def _spectrum(
-    lines: list[int],
-    order: Floats,
-    amplitude: Complexes,
-    grid: tuple[float, float, int],
-    other: Callable[[Floats], tuple[Floats, ...]],
-    scale: Callable[..., Complexes | Floats | float],
-) -> Complexes:
-    """Complex lines at carrier + m · step, shape (axis, n_angles), of ``lines`` that share a carrier."""
-    carrier, step, n_angles = grid
-    angle = np.arange(n_angles) / (n_angles * step)
-    turned, *rates = other(angle)
-    shift = carrier * (turned - angle)
-    total = np.zeros((len(amplitude), n_angles), dtype=np.complex128)
-    for line in lines:
-        # whole multiples of the step: the phase is small, and exact after any number of turns
-        multiple = step * round((order[line] - carrier) / step)
-        total += amplitude[:, line, None] * (scale(line, *rates) * np.exp(2j * np.pi * (multiple * turned + shift)))
-    return np.fft.fft(total, axis=1) / n_angles
 
 
 def _merged(order: Floats, amplitude: Complexes, known: Floats) -> tuple[Floats, Complexes]:
@@ -510,8 +496,7 @@ def _late(
     time_s = following.from_s + late_s * points
     acting = poles.input @ (_forces(turning, time_s, following) - _forces(turning, time_s, law))
     fading = np.exp(np.outer(poles.pole_per_s, late_s * (1 - points)))
-    late: Complexes = late_s * (fading * acting) @ shares
-    return late
+    return np.asarray(late_s * (fading * acting) @ shares)
 
 
 def _steady_past(poles: Poles, turning: Sequence[tuple[ForceLines, Motion]], time_s: float) -> Complexes:

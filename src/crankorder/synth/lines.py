@@ -19,7 +19,7 @@ from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.synth.driven import ForceLines, lines_in_angle, lines_in_time
 from crankorder.synth.motion import Motion, wander_wobbles
 from crankorder.synth.noise import seed_stream
-from crankorder.synth.parts import AXES, OtherShaft, SpeedOrder, TimeSampling
+from crankorder.synth.parts import AXES, Axis, OtherShaft, SpeedOrder, TimeSampling
 from crankorder.synth.poles import POLES_APART, AnalogueFilter, accelerance
 from crankorder.synth.scene import Run, Scene
 
@@ -126,6 +126,10 @@ def gain_of_cycle(scene: Scene, run: Run) -> Callable[[Ints], Floats] | None:
 
 SHORTEST_STEP = 0.05
 """Of the period between strikes, left by jitter at least (4.75 σ at the most jitter): strikes do not swap places."""
+
+
+HEARD = 1e-16
+"""Share of the size of a strike below which its ringing is no more than round-off."""
 
 
 def slipping_line(order: float, *, slip_percent: float) -> float:
@@ -241,15 +245,13 @@ def ringing(
     return signal
 
 
-def ringing_s(
-    resonance_hz: float, damping_ratio: float, *, share: float = 1e-16, filter: AnalogueFilter | None = None
-) -> float:
-    """Time (s) after which a strike rings with less than ``share`` of its size: how far back strikes still count.
+def ringing_s(resonance_hz: float, damping_ratio: float, *, filter: AnalogueFilter | None = None) -> float:
+    """Time (s) after which a strike rings with less than ``HEARD`` of its size: how far back strikes still count.
 
-    ``resonance_hz``, ``damping_ratio``, ``filter``: as for :func:`ringing`. ``share``: between 0 and 1.
+    ``resonance_hz``, ``damping_ratio``, ``filter``: as for :func:`ringing`.
     """
     pole, weight = _poles(resonance_hz, damping_ratio, filter)
-    times = np.log(np.maximum(np.abs(weight) * pole.size / share, 1.0)) / -pole.real
+    times = np.log(np.maximum(np.abs(weight) * pole.size / HEARD, 1.0)) / -pole.real
     return float(times.max())
 
 
@@ -334,13 +336,10 @@ def driven_lines(scene: Scene, forces: ForceLines, speed_rpm: float, lag: Lag | 
         known = _leading_causes(scene, steady, speed_rpm)
         order, force = lines_in_time(forces, lag, speed_rpm=speed_rpm)
         cause = tuple(known.get(value, SIDEBAND) for value in order.tolist())
-    amplitude = np.zeros((len(scene.channels), 0), dtype=np.complex128)
-    if order.size:
-        response = accelerance(scene.structure, order * speed_rpm / 60)
-        if scene.filter is not None:
-            response = response * scene.filter.response(order * speed_rpm / 60)
-        amplitude = np.einsum("cal,al->cl", response, force)
-    return OrderLines(order=order, amplitude=amplitude, cause=cause)
+    response = accelerance(scene.structure, order * speed_rpm / 60)
+    if scene.filter is not None:
+        response = response * scene.filter.response(order * speed_rpm / 60)
+    return OrderLines(order=order, amplitude=np.einsum("cal,al->cl", response, force), cause=cause)
 
 
 def _leading_causes(scene: Scene, forces: ForceLines, speed_rpm: float) -> dict[float, str]:
@@ -445,13 +444,8 @@ def _gas(scene: Scene) -> list[_Force]:
         return []
     highest = scene.gas_torque.highest_order
     order, torque = gas_torque_by_order(scene.engine, int(np.ceil(highest)))
-    forces = []
-    for value, size in zip(order, torque, strict=True):
-        if 0 < value <= highest:
-            acts = np.zeros(len(AXES), dtype=np.complex128)
-            acts[AXES.index("RY")] = -size
-            forces.append(_Force(float(value), acts, "combustion", exponent=0.0, gas=True))
-    return forces
+    lines = [(float(value), _along("RY", -size)) for value, size in zip(order, torque, strict=True)]
+    return [_Force(*line, "combustion", exponent=0.0, gas=True) for line in lines if 0 < line[0] <= highest]
 
 
 def _injected(scene: Scene, shaft: str | None, ratio: float) -> list[_Force]:
@@ -459,18 +453,23 @@ def _injected(scene: Scene, shaft: str | None, ratio: float) -> list[_Force]:
     forces = []
     for injected in scene.injected_orders:
         if injected.shaft == shaft:
-            acts = np.zeros(len(AXES), dtype=np.complex128)
-            acts[AXES.index(injected.direction)] = injected.force_n * np.exp(1j * np.radians(injected.phase_deg))
+            acts = _along(injected.direction, injected.force_n * np.exp(1j * np.radians(injected.phase_deg)))
             at_rpm = injected.at_speed_rpm / ratio
             cause, exponent = injected.cause, injected.speed_exponent
             forces.append(_Force(injected.order * ratio, acts, cause, at_speed_rpm=at_rpm, exponent=exponent))
     return forces
 
 
+def _along(axis: Axis, size: complex) -> Complexes:
+    acts = np.zeros(len(AXES), dtype=np.complex128)
+    acts[AXES.index(axis)] = size
+    return acts
+
+
 def _stacked(forces: list[_Force]) -> ForceLines:
     """The lines of all ``forces`` as one set of arrays."""
-    kinds = {"order": float, "at_speed_rpm": float, "exponent": float, "inertia": bool, "gas": bool}
-    kinds |= {"acceleration": bool}
+    numbers, marks = ("order", "at_speed_rpm", "exponent"), ("inertia", "gas", "acceleration")
+    kinds = dict.fromkeys(numbers, float) | dict.fromkeys(marks, bool)
     columns = {key: np.array([getattr(force, key) for force in forces], dtype=kind) for key, kind in kinds.items()}
     amplitude = np.array([force.amplitude for force in forces], dtype=np.complex128).reshape(-1, len(AXES)).T
     return ForceLines(**columns, amplitude=amplitude, cause=tuple(force.cause for force in forces))

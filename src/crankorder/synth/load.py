@@ -18,7 +18,7 @@ from crankorder.engine.machine_parts import bearing_orders
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import shipped, toml_table, validation_fault
 from crankorder.synth.driven import ENDLESS, MEMORY
-from crankorder.synth.lines import crank_motion, other_motion, ringing_s
+from crankorder.synth.lines import crank_motion, other_motion, ringing_s, slipping_line
 from crankorder.synth.parts import INDEX, TRACE, CrankAngleSampling, TimeSampling
 from crankorder.synth.poles import analogue_filter, poles_of
 from crankorder.synth.recording import impossible_faults
@@ -233,14 +233,11 @@ def _orders(scene: Scene) -> Iterator[Fault]:
     ratio = {shaft.name: shaft.ratio or max(shaft.rpm or (0.0,)) / beside_rpm for shaft in scene.other_shafts}
     asked = [("engine_forces", float(scene.highest_engine_order))]
     asked += [("gas_torque", scene.gas_torque.highest_order)] if scene.gas_torque else []
-    asked += [
-        (f"injected_orders.{k}.order", injected.order * ratio.get(injected.shaft or "", 1.0))
-        for k, injected in enumerate(scene.injected_orders)
-    ]
-    asked += [
-        (f"bearing_lines.{k}", bearings.get(line.bearing, {}).get(line.line, 0.0) * (1 - line.slip_percent / 100))
-        for k, line in enumerate(scene.bearing_lines)
-    ]
+    for k, injected in enumerate(scene.injected_orders):
+        asked.append((f"injected_orders.{k}.order", injected.order * ratio.get(injected.shaft or "", 1.0)))
+    for k, line in enumerate(scene.bearing_lines):
+        order = bearings.get(line.bearing, {}).get(line.line, 0.0)
+        asked.append((f"bearing_lines.{k}", slipping_line(order, slip_percent=line.slip_percent)))
     for place, order in asked:
         if order >= nyquist_order:
             yield "order above Nyquist", place, f"{order:g}", f"below {nyquist_order:g} at {fastest:g} rpm"

@@ -401,8 +401,6 @@ def _pieces(points: tuple[Corner, ...], start_rev: float) -> Floats:
     origin = bisect_right([time for time, _ in points[1:-1]], 0.0)
     slopes = [(after - before) / (stop - start) for (start, before), (stop, after) in pairwise(points)]
     rpm_at_0 = points[origin][1] + slopes[origin] * (0.0 - points[origin][0])
-    if slopes[origin] == 0:
-        rpm_at_0 = points[origin][1]
     rows: list[tuple[float, float, float]] = [(0.0, start_rev, rpm_at_0)] * len(slopes)
     for way, corners in ((1, points[origin + 1 : -1]), (-1, points[origin:0:-1])):
         turned, (time, rpm) = Fraction(0), (0.0, rpm_at_0)

@@ -6,6 +6,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -268,7 +269,5 @@ def _gain(scene: Scene, structure: Structure, frequency_hz: Floats) -> Complexes
 
 
 def _coloured_density(scene: Scene, number: int, frequency_hz: Floats, rate_hz: float) -> Floats:
-    part = scene.coloured_noise[number]
-    if scene.filter is None:
-        return density_through_points(part, frequency_hz)
-    return folded_density(lambda f: density_through_points(part, f), scene.filter, rate_hz, frequency_hz)
+    density = partial(density_through_points, scene.coloured_noise[number])
+    return folded_density(density, scene.filter, rate_hz, frequency_hz)

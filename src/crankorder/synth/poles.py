@@ -341,5 +341,4 @@ def steady_state(poles: Poles, force: Complexes, frequency_hz: Floats) -> Comple
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     acting = poles.input @ force
     apart = poles.pole_per_s[:, None]
-    state: Complexes = 0.5 * (acting / (s - apart) - acting.conj() / (s + apart)).sum(axis=1)
-    return state
+    return np.asarray(0.5 * (acting / (s - apart) - acting.conj() / (s + apart)).sum(axis=1))

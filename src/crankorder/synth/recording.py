@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -15,24 +14,9 @@ from crankorder.engine.machine_parts import bearing_orders
 from crankorder.quantities import Complexes, Floats, Severity
 from crankorder.records import Json
 from crankorder.settings import IngestSettings, load_settings
-from crankorder.synth import parts
+from crankorder.synth import lines, parts
 from crankorder.synth.driven import ForceLines, driven_signal, lines_in_angle
 from crankorder.synth.encoder import EncoderSignals, encoder_signals
-from crankorder.synth.lines import (
-    crank_forces,
-    crank_motion,
-    driven_lines,
-    fixed_lines,
-    gain_of_cycle,
-    modulation,
-    other_motion,
-    ringing,
-    ringing_s,
-    shaft_forces,
-    slipping_line,
-    strike_angles,
-    strikes_per_rev,
-)
 from crankorder.synth.motion import Motion
 from crankorder.synth.noise import Floor, noise_signal, seed_stream
 from crankorder.synth.poles import Recorded, poles_of, recorded, tones
@@ -47,17 +31,23 @@ def order_signal(scene: Scene, run: Run, motion: Motion) -> Floats:
     At a steady mean speed the exact sum of the steady states; else an integration of the modes. ``scene``: forces,
     structure and filter. ``run``: the recording. ``motion``: of its crank.
     """
-    own = [(shaft_forces(scene, shaft), other_motion(scene, run, shaft)) for shaft in scene.other_shafts if shaft.rpm]
-    sources = [(forces, turning) for forces, turning in ((crank_forces(scene), motion), *own) if forces.order.size]
+    own = [
+        (lines.shaft_forces(scene, shaft), lines.other_motion(scene, run, shaft))
+        for shaft in scene.other_shafts
+        if shaft.rpm
+    ]
+    sources = [
+        (forces, turning) for forces, turning in ((lines.crank_forces(scene), motion), *own) if forces.order.size
+    ]
     scatters = scene.gas_torque is not None and scene.gas_torque.scatter_percent
     if sources and (scatters or any(turning.wobbles or turning.corner_s for _, turning in sources)):
         return _integrated(scene, run, sources)
     signal = np.zeros((len(scene.channels), scene.n_samples))
     for forces, turning in sources:
         speed_rpm = turning.corners[0][1]
-        lines = driven_lines(scene, forces, speed_rpm, turning.lag)
-        at_start = lines.amplitude * np.exp(2j * np.pi * lines.order * turning.mean_start_rev)
-        signal += _steady(scene, run, motion, lines.order * speed_rpm / 60, at_start)
+        steady = lines.driven_lines(scene, forces, speed_rpm, turning.lag)
+        at_start = steady.amplitude * np.exp(2j * np.pi * steady.order * turning.mean_start_rev)
+        signal += _steady(scene, run, motion, steady.order * speed_rpm / 60, at_start)
     return signal
 
 
@@ -66,7 +56,7 @@ def bearing_signal(scene: Scene, run: Run, motion: Motion) -> Floats:
 
     ``scene``: the lines. ``run``: the recording. ``motion``: of its crank.
     """
-    lines, rate_hz = fixed_lines(scene, run), scene.rate_hz(run.speed_rpm)
+    fixed, rate_hz = lines.fixed_lines(scene, run), scene.rate_hz(run.speed_rpm)
     delay_s = scene.by_channel(scene.acquisition.delay_s)
     signal = np.empty((len(scene.channels), scene.n_samples))
     for start in range(0, scene.n_samples, SAMPLES_AT_ONCE):
@@ -76,9 +66,9 @@ def bearing_signal(scene: Scene, run: Run, motion: Motion) -> Floats:
                 turns = motion.at(sample / rate_hz - delay)[0]
             else:
                 turns = motion.start_rev + sample / scene.sampling.samples_per_rev - delay * run.speed_rpm / 60
-            phase = 2 * np.pi * np.outer(lines.order, turns)
+            phase = 2 * np.pi * np.outer(fixed.order, turns)
             late = np.flatnonzero(delay_s == delay)
-            of_late = lines.amplitude[late]
+            of_late = fixed.amplitude[late]
             signal[late, start : start + sample.size] = of_late.real @ np.cos(phase) - of_late.imag @ np.sin(phase)
     return signal
 
@@ -109,7 +99,7 @@ def impact_signal(scene: Scene, run: Run, motion: Motion) -> Floats:
         strike_s, size = _strikes(scene, run, motion, k)
         peak = scene.by_channel(part.peak_m_s2) * part.growth**run.repeat
         for delay in sorted(set(delay_s[peak != 0].tolist())):
-            rings = ringing(
+            rings = lines.ringing(
                 strike_s + delay,
                 size,
                 resonance_hz=part.resonance_hz,
@@ -128,7 +118,7 @@ def _strikes(scene: Scene, run: Run, motion: Motion, number: int) -> tuple[Float
     part = scene.bearing_impacts[number]
     bearing = next(bearing for bearing in scene.engine.bearings if bearing.name == part.bearing)
     orders = bearing_orders(bearing)
-    before_s = ringing_s(part.resonance_hz, part.damping_ratio, filter=scene.filter)
+    before_s = lines.ringing_s(part.resonance_hz, part.damping_ratio, filter=scene.filter)
     before_s += float(np.abs(scene.by_channel(scene.acquisition.delay_s)).max())
     duration_s = scene.n_samples / scene.rate_hz(run.speed_rpm)
     earlier = motion.begun_earlier(before_s)
@@ -139,8 +129,8 @@ def _strikes(scene: Scene, run: Run, motion: Motion, number: int) -> tuple[Float
         return np.empty(0), np.empty(0)
     stream = seed_stream(scene.seed, "bearing_impacts", str(number), run.stream)
     phase_rev = stream.random()
-    angles = strike_angles(
-        strikes_per_rev(orders, part.line),
+    angles = lines.strike_angles(
+        lines.strikes_per_rev(orders, part.line),
         slip_percent=part.slip_percent,
         jitter_percent=part.jitter_percent,
         start_rev=float(min(ends.min() for _, ends in turning)),
@@ -148,8 +138,8 @@ def _strikes(scene: Scene, run: Run, motion: Motion, number: int) -> tuple[Float
         stream=stream,
     )
     shaft_ratio = bearing.shaft_ratio
-    cage_order = slipping_line(orders.get("FTF", 0.0), slip_percent=part.slip_percent)
-    size = modulation(
+    cage_order = lines.slipping_line(orders.get("FTF", 0.0), slip_percent=part.slip_percent)
+    size = lines.modulation(
         part.line, angles, load_zone=part.load_zone, shaft_ratio=shaft_ratio, cage_order=cage_order, phase_rev=phase_rev
     )
     times, sizes = [], []
@@ -180,20 +170,17 @@ def _integrated(scene: Scene, run: Run, sources: list[tuple[ForceLines, Motion]]
     """
     delay_s = scene.by_channel(scene.acquisition.delay_s)
     poles, rate_hz = poles_of(scene.structure, scene.filter), scene.rate_hz(run.speed_rpm)
-
-    def late_by(delay: float) -> Floats:
-        return driven_signal(
-            poles.seen_by(np.flatnonzero(delay_s == delay)),
+    signal = np.empty((len(scene.channels), scene.n_samples))
+    for delay in sorted(set(delay_s.tolist())):
+        late = np.flatnonzero(delay_s == delay)
+        signal[late] = driven_signal(
+            poles.seen_by(late),
             [(forces, motion.begun_earlier(delay)) for forces, motion in sources],
             rate_hz=rate_hz,
             n_samples=scene.n_samples,
-            gain_of_cycle=gain_of_cycle(scene, run),
+            gain_of_cycle=lines.gain_of_cycle(scene, run),
             revs_per_cycle=scene.engine.revs_per_cycle,
         )
-
-    signal = np.empty((len(scene.channels), scene.n_samples))
-    for delay in sorted(set(delay_s.tolist())):
-        signal[delay_s == delay] = late_by(delay)
     return signal
 
 
@@ -212,16 +199,14 @@ def sensed(scene: Scene, run: Run, floor: Floor) -> Floats:
     ``floor``: of :func:`crankorder.synth.noise.floor_of` at the rate of the run. An effect that is not named is not
     looked at; the effects add up.
     """
-    motion, noise = crank_motion(scene, run), None
+    motion, noise = lines.crank_motion(scene, run), None
     if scene.broadband or scene.sensor_noise or scene.coloured_noise:
         noise = noise_signal(scene, run, floor)  # first: its transforms take the most memory
     signal = order_signal(scene, run, motion)
-    if scene.bearing_lines:
-        signal += bearing_signal(scene, run, motion)
-    if scene.tones:
-        signal += tone_signal(scene, run, motion)
-    if scene.bearing_impacts:
-        signal += impact_signal(scene, run, motion)
+    effects = {"bearing_lines": bearing_signal, "tones": tone_signal, "bearing_impacts": impact_signal}
+    for asked, effect in effects.items():
+        if getattr(scene, asked):
+            signal += effect(scene, run, motion)
     if noise is not None:
         signal += noise
     return signal
@@ -240,7 +225,7 @@ def synthesise(scene: Scene, run: Run, floor: Floor) -> SyntheticRecording:
         signal, faults = with_signal_faults(signal, scene.signal_faults, names=scene.channel_names, **of_run)
     encoder = None
     if scene.encoder is not None:
-        motion, n_samples = crank_motion(scene, run), scene.n_samples
+        motion, n_samples = lines.crank_motion(scene, run), scene.n_samples
         encoder = encoder_signals(motion, scene.encoder, scene.encoder_faults, n_samples=n_samples, **of_run)
         faults += encoder.records
     converted = recorded(signal, scene.acquisition)
@@ -317,7 +302,7 @@ def with_signal_faults(
             chance = seed_stream(seed, "signal_faults", str(number), stream, name)
             peak = float(np.max(np.abs(clean), where=np.isfinite(clean), initial=0.0))
             channel = _Channel(samples=samples, peak=peak, rate_hz=rate_hz, stream=chance, limits=limits)
-            marks.append((name, _apply(fault, channel)))
+            marks.append((name, _FAULTS[fault.kind](fault, channel)))
     return faulty, [_record(mark, name, recording, rate_hz) for name, mark in marks]
 
 
@@ -385,12 +370,6 @@ def _record(mark: _Mark, name: str, recording: str, rate_hz: float) -> dict[str,
     return {**record, **mark.more}
 
 
-@singledispatch
-def _apply(fault: parts.SignalFault, channel: _Channel) -> _Mark:
-    raise TypeError(f"no such fault: {type(fault).__name__}")
-
-
-@_apply.register
 def _clip(fault: parts.Clipping, channel: _Channel) -> _Mark:
     level = fault.of_peak * channel.peak
     beyond = np.abs(channel.samples) > level
@@ -405,7 +384,6 @@ def _clip(fault: parts.Clipping, channel: _Channel) -> _Mark:
     )
 
 
-@_apply.register
 def _overload(fault: parts.IepeOverload, channel: _Channel) -> _Mark:
     at = channel.span(fault.at_s, math.inf)
     step = fault.times_peak * channel.peak
@@ -415,7 +393,6 @@ def _overload(fault: parts.IepeOverload, channel: _Channel) -> _Mark:
     return _Mark(flag=fault.kind, severity="bad", detail=detail, at=at, more=more)
 
 
-@_apply.register
 def _lose(fault: parts.NotANumber, channel: _Channel) -> _Mark:
     at = channel.span(fault.at_s, fault.duration_s)
     channel.samples[at] = np.nan
@@ -426,7 +403,6 @@ def _lose(fault: parts.NotANumber, channel: _Channel) -> _Mark:
     return _Mark(flag=flag, severity="suspect" if at.size <= most else "bad", detail=detail, at=at)
 
 
-@_apply.register
 def _spike(fault: parts.Spikes, channel: _Channel) -> _Mark:
     at = np.sort(channel.stream.choice(channel.samples.size, size=fault.count, replace=False))
     value = fault.times_peak * channel.peak
@@ -435,7 +411,6 @@ def _spike(fault: parts.Spikes, channel: _Channel) -> _Mark:
     return _Mark(flag=fault.kind, severity="suspect", detail=detail, at=at, more={"value_m_s2": value})
 
 
-@_apply.register
 def _drift(fault: parts.Drift, channel: _Channel) -> _Mark:
     n = channel.samples.size
     channel.samples[:] += np.linspace(fault.offset_m_s2, fault.offset_m_s2 + fault.drift_m_s2, n)
@@ -444,7 +419,6 @@ def _drift(fault: parts.Drift, channel: _Channel) -> _Mark:
     return _Mark(flag=fault.kind, severity="info", detail=detail, at=np.arange(n), more=more)
 
 
-@_apply.register
 def _drop(fault: parts.DroppedSamples, channel: _Channel) -> _Mark:
     samples, first = channel.samples, int(channel.span(fault.at_s, 0.0)[0])
     last = samples[-1]
@@ -455,7 +429,6 @@ def _drop(fault: parts.DroppedSamples, channel: _Channel) -> _Mark:
     return _Mark(flag=fault.kind, severity="bad", detail=detail, at=at, more={"dropped": fault.count})
 
 
-@_apply.register
 def _zero(fault: parts.Dropout, channel: _Channel) -> _Mark:
     at = channel.span(fault.at_s, fault.duration_s)
     channel.samples[at] = 0.0
@@ -463,3 +436,9 @@ def _zero(fault: parts.Dropout, channel: _Channel) -> _Mark:
     found &= at.size >= channel.limits.dropout_fraction * channel.samples.size
     detail = f"zero for {at.size} samples from {fault.at_s:g} s"
     return _Mark(flag=fault.kind, severity="bad" if found else "suspect", detail=detail, at=at)
+
+
+_FAULTS: Mapping[str, Callable[..., _Mark]] = {
+    "clipping": _clip, "iepe_overload": _overload, "not_a_number": _lose, "spikes": _spike, "drift": _drift,
+    "dropped_samples": _drop, "dropout": _zero,
+}  # fmt: skip

@@ -23,19 +23,10 @@ from crankorder.errors import EnvironmentFailure, RequestError
 from crankorder.quantities import Attribute, Truth
 from crankorder.records import Json
 from crankorder.settings import shipped
+from crankorder.synth import parts
 from crankorder.synth.lines import crank_forces, fixed_lines, order_lines, slipping_line, strikes_per_rev
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_density, floor_of
-from crankorder.synth.parts import (
-    INDEX,
-    TRACE,
-    BearingImpacts,
-    BearingLine,
-    Channel,
-    Encoder,
-    TimeSampling,
-    WrongLabels,
-)
 from crankorder.synth.recording import SyntheticRecording, synthesise
 from crankorder.synth.scene import SWEEP, Run, Scene
 
@@ -58,52 +49,49 @@ def manifest_text(scene: Scene, engine_name: str, repeat: int = 0) -> str:
 
     ``engine_name``: a shipped engine or a file in the folder.
     """
-    recordings: dict[str, object] = {
-        "files": ["rpm_*.h5"] if scene.speeds is not None else [f"{run.name}.h5" for run in scene.runs]
-    }
-    labels = scene.wrong_labels or WrongLabels()
-    table: dict[str, object] = {
+    speeds = {f"{run.name}.h5": run.speed_rpm for run in scene.runs}
+    recordings: dict[str, object] = {"files": ["rpm_*.h5"] if scene.speeds is not None else list(speeds)}
+    sampling: dict[str, object] = {"domain": scene.sampling.domain}
+    if isinstance(scene.sampling, parts.TimeSampling):
+        sampling["rate_hz"] = scene.sampling.rate_hz
+    else:
+        sampling |= {"samples_per_rev": scene.sampling.samples_per_rev, "start_deg": 0.0}
+        recordings["speed_rpm"] = speeds
+    bearings = [bearing.model_dump(exclude_none=True, exclude_defaults=True) for bearing in scene.engine.bearings]
+    table = {
         "schema_version": 1,
         "test": {"name": name_of_test(scene, repeat), "engine": engine_name, "cycle": scene.engine.cycle},
+        "recordings": recordings,
+        "sampling": sampling,
+        "channels": [_channel(scene, channel) for channel in scene.channels],
+        "encoder": None
+        if scene.encoder is None
+        else _encoder(scene.encoder, scene.wrong_labels or parts.WrongLabels()),
+        "bearings": bearings,
     }
-    table["recordings"] = recordings
-    if isinstance(scene.sampling, TimeSampling):
-        table["sampling"] = {"domain": "time", "rate_hz": scene.sampling.rate_hz}
-    else:
-        samples_per_rev = scene.sampling.samples_per_rev
-        table["sampling"] = {"domain": "crank_angle", "samples_per_rev": samples_per_rev, "start_deg": 0.0}
-        recordings["speed_rpm"] = {f"{run.name}.h5": run.speed_rpm for run in scene.runs}
-    table["channels"] = [_channel(scene, channel) for channel in scene.channels]
-    if scene.encoder is not None:
-        table["encoder"] = _encoder(scene.encoder, labels)
-    table["bearings"] = [
-        bearing.model_dump(exclude_none=True, exclude_defaults=True) for bearing in scene.engine.bearings
-    ]
-    return toml_text(table)
+    return toml_text({key: value for key, value in table.items() if value is not None})
 
 
-def _channel(scene: Scene, channel: Channel) -> dict[str, str]:
-    swapped = scene.wrong_labels.swapped if scene.wrong_labels else None
-    source = channel.source
-    if swapped is not None and channel.name in swapped:
-        other = swapped[1 - swapped.index(channel.name)]
-        source = next(entry.source for entry in scene.channels if entry.name == other)
+def _channel(scene: Scene, channel: parts.Channel) -> dict[str, str]:
+    swapped = (scene.wrong_labels and scene.wrong_labels.swapped) or ()
+    labelled = swapped[1 - swapped.index(channel.name)] if channel.name in swapped else channel.name
+    source = next(entry.source for entry in scene.channels if entry.name == labelled)
     entry = {"name": channel.name, "source": source, "quantity": "acceleration", "unit": "m/s2"}
     if scene.acquisition.sensitivity_mv_per_g is not None:
         entry["sensitivity"] = f"{scene.acquisition.sensitivity_mv_per_g:.12g} mV/g"
     return entry | {"direction": channel.direction}
 
 
-def _encoder(encoder: Encoder, labels: WrongLabels) -> dict[str, object]:
+def _encoder(encoder: parts.Encoder, labels: parts.WrongLabels) -> dict[str, object]:
     table: dict[str, object] = {
-        "source": TRACE,
+        "source": parts.TRACE,
         "kind": "square",
         "pulses_per_rev": labels.pulses_per_rev or encoder.pulses_per_rev,
         "missing_teeth": encoder.missing_teeth,
         "ratio": encoder.ratio,
     }
     if encoder.index:
-        table["index"] = INDEX
+        table["index"] = parts.INDEX
     if encoder.index or encoder.missing_teeth or encoder.pulses_per_rev == 1:
         table["index_to_tdc_deg"] = encoder.index_to_tdc_deg
     return table | {"edge": "rising"}
@@ -168,12 +156,11 @@ def write_scene(
             if faults:
                 _write_truth(Truth({**truths[repeat], "quality": faults}), folders[repeat])
         ours = scene.engine_file in shipped("engines")
+        engine = toml_text(scene.engine.model_dump(exclude_none=True, exclude_defaults=True))
         for repeat, place in enumerate(folders):
-            if not ours:
-                engine = scene.engine.model_dump(exclude_none=True, exclude_defaults=True)
-                _publish(place / ENGINE, partial(Path.write_bytes, data=toml_text(engine).encode()))
             manifest = manifest_text(scene, scene.engine_file if ours else ENGINE, repeat)
-            _publish(place / MANIFEST, partial(Path.write_bytes, data=manifest.encode()))
+            for name, text in (({} if ours else {ENGINE: engine}) | {MANIFEST: manifest}).items():
+                _publish(place / name, partial(Path.write_bytes, data=text.encode()))
         return folders
     except OSError as error:
         if isinstance(error, EnvironmentFailure):
@@ -191,7 +178,7 @@ def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticReco
     ``recording``: the samples.
     """
     axis: dict[str, Attribute]
-    if isinstance(scene.sampling, TimeSampling):
+    if isinstance(scene.sampling, parts.TimeSampling):
         axis = {"rate_hz": scene.sampling.rate_hz}
         stated = {} if scene.speeds is None else {"speed_rpm": run.speed_rpm}
     else:
@@ -202,8 +189,8 @@ def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticReco
     for channel, samples in zip(scene.channels, recording.recorded.samples, strict=True):
         columns[channel.source] = samples, {"unit": recording.recorded.unit, **packing, **axis}
     if recording.encoder is not None:
-        columns[TRACE] = recording.encoder.trace, {"unit": "V", **axis}
-        columns[INDEX] = recording.encoder.index, {"unit": "1", **axis}
+        columns[parts.TRACE] = recording.encoder.trace, {"unit": "V", **axis}
+        columns[parts.INDEX] = recording.encoder.index, {"unit": "1", **axis}
     with h5py.File(path, "x", libver=("v110", "v110")) as file:
         for source, (values, attrs) in columns.items():
             if values is not None:
@@ -222,7 +209,9 @@ def _write_recordings(
     """Write every recording of every repeat; what was made faulty in each repeat, and where."""
     runs = [run for repeat in range(len(folders)) for run in scene.runs_of(repeat)]
     # one floor for all where the rate is one; by crank angle every speed has its own, and all at once would be too many
-    shared = floor_of(scene, scene.rate_hz(runs[0].speed_rpm)) if isinstance(scene.sampling, TimeSampling) else None
+    shared = (
+        floor_of(scene, scene.rate_hz(runs[0].speed_rpm)) if isinstance(scene.sampling, parts.TimeSampling) else None
+    )
 
     def write(run: Run) -> list[dict[str, Json]]:
         recording = synthesise(scene, run, shared or floor_of(scene, scene.rate_hz(run.speed_rpm)))
@@ -316,6 +305,7 @@ def truth_of(scene: Scene, repeat: int = 0) -> Truth:
     What was made faulty is not here yet: ``quality`` is known when the recordings are made.
     """
     runs = scene.runs_of(repeat)
+    as_set = {key: getattr(scene, key) for key in ("acquisition", "encoder", "wrong_labels")}
     return Truth(
         {
             "schema_version": 1,
@@ -329,9 +319,7 @@ def truth_of(scene: Scene, repeat: int = 0) -> Truth:
             "bearings": _bearings(scene, repeat),
             "lines": _lines(scene),
             "balance": _balance(scene),
-            "acquisition": scene.acquisition.model_dump(exclude_defaults=True),
-            "encoder": scene.encoder.model_dump(exclude_defaults=True) if scene.encoder is not None else None,
-            "wrong_labels": scene.wrong_labels.model_dump(exclude_defaults=True) if scene.wrong_labels else None,
+            **{key: part and part.model_dump(exclude_defaults=True) for key, part in as_set.items()},
             "quality": [],
         }
     )
@@ -344,11 +332,10 @@ def name_of_test(scene: Scene, repeat: int) -> str:
 
 def _recording(scene: Scene, run: Run) -> dict[str, Json]:
     """Name and speed of a recording; of a profile its corners too."""
-    record: dict[str, Json] = {"name": f"{run.name}.h5"}
-    if scene.speed_profile is None:
-        return record | {"speed_rpm": run.speed_rpm}
-    corners = scene.speed_profile.corners
-    return record | {"time_s": [time_s for time_s, _ in corners], "speed_rpm": [rpm for _, rpm in corners]}
+    name, profile = f"{run.name}.h5", scene.speed_profile
+    if profile is None:
+        return {"name": name, "speed_rpm": run.speed_rpm}
+    return {"name": name, "time_s": list(profile.time_s), "speed_rpm": list(profile.rpm)}
 
 
 def _steady_speeds(scene: Scene, runs: tuple[Run, ...]) -> list[tuple[Run, float]]:
@@ -452,12 +439,12 @@ def _crossings(scene: Scene, run: Run) -> list[dict[str, Json]]:
 def _bearings(scene: Scene, repeat: int) -> list[dict[str, Json]]:
     orders = {bearing.name: bearing_orders(bearing) for bearing in scene.engine.bearings}
     records: list[dict[str, Json]] = []
-    parts: tuple[BearingLine | BearingImpacts, ...] = (*scene.bearing_lines, *scene.bearing_impacts)
-    for line in parts:
-        strikes = isinstance(line, BearingImpacts)
+    both: tuple[parts.BearingLine | parts.BearingImpacts, ...] = (*scene.bearing_lines, *scene.bearing_impacts)
+    for line in both:
+        strikes = isinstance(line, parts.BearingImpacts)
         known = orders[line.bearing]
         expected = strikes_per_rev(known, line.line) if strikes else known[line.line]
-        by_channel = line.peak_m_s2 if isinstance(line, BearingImpacts) else line.amplitude_m_s2
+        by_channel = line.peak_m_s2 if isinstance(line, parts.BearingImpacts) else line.amplitude_m_s2
         grown = {name: value * line.growth**repeat for name, value in by_channel.items()}
         records.append(
             {
@@ -469,7 +456,7 @@ def _bearings(scene: Scene, repeat: int) -> list[dict[str, Json]]:
                 "amplitude_by_channel": grown,
                 "unit": UNIT,
                 "verdict": "strikes" if strikes else "slips" if line.slip_percent else "locked",
-                "resonance_hz": line.resonance_hz if isinstance(line, BearingImpacts) else None,
+                "resonance_hz": line.resonance_hz if isinstance(line, parts.BearingImpacts) else None,
             }
         )
     return records
