@@ -23,15 +23,7 @@ from crankorder.identify.modes.floor import Floor, quiet_floor, seen_at_single_s
 from crankorder.identify.modes.order_blocks import blocks_of
 from crankorder.identify.modes.order_responses import Block, Blocks, with_best_law, with_scatter
 from crankorder.identify.modes.order_search import NUMBERS as ORDER_SEARCH
-from crankorder.identify.modes.order_search import (
-    ORDER_MODES,
-    OrderPole,
-    Proof,
-    Settled,
-    orders_raised,
-    poles_of_orders,
-    settled,
-)
+from crankorder.identify.modes.order_search import ORDER_MODES, OrderPole, Proof, Settled, poles_of_orders, settled
 from crankorder.identify.modes.responses import floor_bound, least_seen, responses_of
 from crankorder.identify.modes.search import (
     JOINT_FIT,
@@ -125,7 +117,7 @@ def modal_fit(
     every = poles_of_modes(modal.modes).joined(poles_at((pole.frequency_hz, pole.damping) for pole in by_orders.found))
     along = [with_best_law(block, every) for block in asked if block.rows.recording]
     blocks = (*by_orders.blocks, *along)
-    modal = _with_order_modes(modal, by_orders, every, blocks, settings)
+    modal = _with_order_modes(modal, by_orders, every, settings)
     bounds = [floor_bound(local.problem, local.fit.model, poles=local.own_modes, settings=settings) for local in fitted]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     poles, floors = poles_of_modes(modal.modes), [bound for bound in bounds if bound is not None]
@@ -220,13 +212,8 @@ def _with_orders(local: Fitted, every: list[Fitted], blocks: Sequence[Block], fi
     return replace(local, problem=problem, fit=fit)
 
 
-def _with_order_modes(
-    fit: ModalFit, by_orders: Settled, every: Poles, blocks: Sequence[Block], settings: IdentifySettings
-) -> ModalFit:
-    """``fit`` with the modes that only orders show (``by_orders``, among ``every`` pole of the test), lowest first.
-
-    And with tones at which ``blocks`` rise as modes that are not decided.
-    """
+def _with_order_modes(fit: ModalFit, by_orders: Settled, every: Poles, settings: IdentifySettings) -> ModalFit:
+    """``fit`` with the modes that only orders show (``by_orders``, among ``every`` pole of the test), lowest first."""
     said = [
         mode_of(pole, covariance_among(by_orders.covariance, [k]), every, settings=settings)
         for k, pole in enumerate(by_orders.found)
@@ -234,13 +221,6 @@ def _with_order_modes(
     own = [k for k, mode in enumerate(said) if mode is not None]
     more = [mode for mode in said if mode is not None]
     parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
-    known = poles_of_modes([*fit.modes, *more])
-    unknown = [tone for tone in fit.tones if tone.kind == "tone" and not any(is_shown(tone, mode) for mode in more)]
-    for tone in unknown:
-        if orders := orders_raised(blocks, known, tone.frequency_hz):
-            mode, part = tone_as_mode(tone, orders, settings=settings)
-            more.append(mode)
-            parts.append(part)
     proven = [mode.frequency_ends for mode in fit.modes if mode.reached_by and not mode.undecided]
 
     def is_mode(tone: Tone) -> bool:
@@ -403,18 +383,6 @@ def mode_of(pole: OrderPole, covariance: Floats, every: Poles, *, settings: Iden
         return None
     doubt = _doubt(pole, error, zeta_error, every)
     return Mode(f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, doubt)
-
-
-def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySettings) -> tuple[Mode, Floats]:
-    """A ``tone`` at which ``orders`` rise as an undecided mode, with its covariance (2, 2).
-
-    ``settings``: the least damping that a mode is reckoned with, which stands for one that nobody saw.
-    """
-    f, error, zeta = tone.frequency_hz, tone.frequency_error_hz, settings.least_damping_ratio
-    rise = f"orders {_listed(orders)} rise" if len(orders) > 1 else f"order {_listed(orders)} rises"
-    doubt = f"tone or mode: {rise} there"
-    mode = Mode(f, error, zeta, zeta, tuple(tone.amplitude), 0.0, tone.evidence, orders, doubt)
-    return mode, np.diag([error**2, zeta**2])
 
 
 def _listed(orders: Sequence[float]) -> str:

@@ -13,7 +13,6 @@ from crankorder.identify.modes.order_responses import (
     Block,
     Blocks,
     Projected,
-    Rows,
     as_real,
     deviance_of,
     jacobian,
@@ -31,9 +30,6 @@ NUMBERS = MethodNumbers("5-identify-modal.toml", "order_search")
 
 TRIED_DAMPING = (0.003, 0.01, 0.03, 0.1)
 """Damping ratios that are tried as a start; frequencies lie as far apart as each is wide."""
-
-LIGHT = (0.001, 0.003, 0.01)
-"""Damping ratios of a mode that may be taken for a tone."""
 
 TRIED_STARTS = 3
 """Best starts that are followed."""
@@ -265,34 +261,6 @@ def _one_more(state: Fitted, tried: Poles, *, most_damping: float) -> tuple[Fitt
         if saved > most and inside:
             best, most = trial, saved
     return None if best is None else best.moved(), followed
-
-
-def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) -> tuple[float, ...]:
-    """Orders of ``blocks`` that rise where they pass ``frequency_hz``.
-
-    More than noise beside the ``poles`` makes them, with a light resonance tried there; or to twice what they are on
-    both sides, where rows are too far apart for that.
-    """
-    tried, raised = poles_at((frequency_hz, zeta) for zeta in LIGHT), []
-    for block in blocks:
-        gains = _gains(Fitted.of((block,), poles, NO_PRIOR), tried)
-        proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.rows.channels), ORDER_MODES.proof_chance))
-        if proven or _stands_out(block.rows, frequency_hz):
-            raised.append(block.rows.order)
-    return tuple(dict.fromkeys(raised))
-
-
-def _stands_out(rows: Rows, frequency_hz: float) -> bool:
-    """Whether the amplitude of ``rows`` is twice as large next to ``frequency_hz`` as on both sides, in any channel."""
-    away = np.abs(rows.frequency_hz / frequency_hz - 1.0)
-    near = np.flatnonzero(away <= NUMBERS.next_to_share)
-    below = np.flatnonzero(rows.frequency_hz < frequency_hz * (1.0 - NUMBERS.next_to_share))
-    above = np.flatnonzero(rows.frequency_hz > frequency_hz * (1.0 + NUMBERS.next_to_share))
-    if not (len(near) and len(below) and len(above)):
-        return False
-    sides = [side[np.argmin(away[side])] for side in (below, above)]
-    size = np.sqrt(np.abs(rows.amplitude)) if rows.power else np.abs(rows.amplitude)
-    return bool((size[:, near].max(axis=1) > NUMBERS.rises_ratio * size[:, sides].max(axis=1)).any())
 
 
 def _gains(state: Fitted, tried: Poles) -> Floats:
