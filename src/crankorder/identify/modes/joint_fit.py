@@ -9,16 +9,7 @@ from functools import cached_property
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import (
-    NO_FITS,
-    AgreedOrders,
-    ModalFit,
-    Mode,
-    SweepFits,
-    Tone,
-    Unsearched,
-    Whirl,
-)
+from crankorder.identify.found import NO_FITS, AgreedOrders, ModalFit, Mode, SweepFits, Unsearched, Whirl
 from crankorder.identify.modes.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modes.order_blocks import blocks_of
 from crankorder.identify.modes.order_responses import Block, Blocks, with_best_law, with_scatter
@@ -221,18 +212,12 @@ def _with_order_modes(fit: ModalFit, by_orders: Settled, every: Poles, settings:
     own = [k for k, mode in enumerate(said) if mode is not None]
     more = [mode for mode in said if mode is not None]
     parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
-    proven = [mode.frequency_ends for mode in fit.modes if mode.reached_by and not mode.undecided]
-
-    def is_mode(tone: Tone) -> bool:
-        within = tone.kind == "tone" and any(low <= tone.frequency_hz <= high for low, high in proven)
-        return within or any(is_shown(tone, mode) for mode in more)
-
     modes = (*fit.modes, *more)
     rank = poles_of_modes(modes).rank
     return replace(
         fit,
         modes=tuple(modes[k] for k in rank.tolist()),
-        tones=tuple(tone for tone in fit.tones if not is_mode(tone)),
+        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more)),
         covariance=covariance_among(side_by_side(parts), rank),
     )
 
