@@ -54,7 +54,7 @@ from crankorder.identify.lines.followed_orders import (
     with_track_rows,
 )
 from crankorder.identify.lines.growth import growth, if_unbalance, reported, visible_range_rpm
-from crankorder.identify.lines.known_lines import LineSeen, held_of, without_known
+from crankorder.identify.lines.known_lines import LineSeen, held_of
 from crankorder.identify.lines.line_evidence import alias_flags, shown_aliases
 from crankorder.identify.lines.line_phasors import is_half_order, speed_source
 from crankorder.identify.lines.mains import mains_seen, motor_seen, without_ringing
@@ -219,7 +219,7 @@ def _lines(measured: Measured, doubt: str | None, motor: Motor | None, settings:
     in_map = unless_sidebands(numbered, order_map, frames)
     fitted = modal_fit(measured.campbell, order_map, in_map, settings=asked, followed=followed, swept=measured.swept)
     known = without_ringing(seen, fitted.modes)
-    in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
+    in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
     modal = with_tones_settled(in_map, modal, held, known, settings=asked)
     in_map = in_map if doubt is None else undecided_orders(in_map)
     reader = TrackReader(order_map, frames=frames, followed=followed, fixed=fixed_lines(modal.tones))

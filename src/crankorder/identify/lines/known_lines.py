@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import compress
 
 import numpy as np
 import xarray as xr
 
 from crankorder.cause import Cause, CauseKind
 from crankorder.engine.machine_parts import MotorLine
-from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.found import AgreedOrder
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of
 from crankorder.orders.intervals import half_width
 from crankorder.orders.joint_lines import LOBE_BINS, Band, HeldFrames, Place, Sighting, joint_lines
@@ -183,19 +182,3 @@ def _is_at(known: LineSeen, agreed: AgreedOrder) -> bool:
         exact = known.line.mains == 0 and not known.line.of
         return away * known.held.span_rev < apart and (exact or not known.alone)
     return bool(away <= max(half_width(agreed.degrees_of_freedom) * agreed.order_error, apart / known.held.span_rev))
-
-
-def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
-    """``modal`` without modes that are undecided and stand where one of the ``known`` lines does: these explain them.
-
-    Only where no order's response was fitted through the modes: there each of them takes part in what is said.
-    """
-    if modal.responses or not known:
-        return modal
-    hertz = np.array([seen.hertz for seen in known])
-    ends = np.array([mode.frequency_ends for mode in modal.modes]).reshape(-1, 2, 1)
-    near = ((hertz >= ends[:, 0] - NUMBERS.same_hz) & (hertz <= ends[:, 1] + NUMBERS.same_hz)).any(axis=1)
-    kept = [not (mode.undecided and there) for mode, there in zip(modal.modes, near.tolist(), strict=True)]
-    at = np.repeat(kept, 2)
-    covariance = modal.covariance if all(kept) else modal.covariance[np.ix_(at, at)]
-    return replace(modal, modes=tuple(compress(modal.modes, kept)), covariance=covariance)
