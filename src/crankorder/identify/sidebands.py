@@ -18,7 +18,7 @@ from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.intervals import Z95
 from crankorder.orders.swing_evidence import HARMONICS
-from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_of, swing_shown
+from crankorder.orders.true_angle import TAKEN, left_of, swing_shown
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
@@ -394,18 +394,16 @@ class AngleSwings:
     """Swings of the crank angle: of the shaft, by speed, and what may be left of an encoder's error.
 
     ``shown`` (speeds, 1 + half orders) are the rising speed [rpm] and, behind it, peak amplitudes [rev] at 0.5, 1, 1.5
-    … times a turn; ``unseen_rev`` (1 + half orders,) amplitudes of which too few pulses show nothing; ``left_rev`` by
-    harmonic of the turn; ``proved`` says whether an encoder's error was taken out.
+    … times a turn; ``left_rev`` by harmonic of the turn; ``proved`` says whether an encoder's error was taken out.
     """
 
     shown: Floats
-    unseen_rev: Floats
     left_rev: dict[int, float]
     proved: bool
 
     @classmethod
-    def of(cls, frames: Sequence[xr.Dataset], orders: Sequence[AgreedOrder]) -> AngleSwings:
-        """What the ``frames`` (OrderFrames) of a test state of the angle by which its ``orders`` were found."""
+    def of(cls, frames: Sequence[xr.Dataset]) -> AngleSwings:
+        """What the ``frames`` (OrderFrames) of a test state of its angle."""
         recordings, whole = [], [2 * harmonic for harmonic in HARMONICS]
         for spectra in frames:
             swing = np.abs(swing_shown([spectra]))
@@ -413,39 +411,14 @@ class AngleSwings:
             recordings.append(swing)
         shown = np.concatenate(recordings)
         shown = shown[np.argsort(shown[:, 0])]
-        unseen, highest = np.zeros(shown.shape[1]), max(float(spectra["order"].max()) for spectra in frames)
-        if any(0.0 < float(spectra.attrs.get(LINES, 0.0)) < LINES_PER_HARMONIC for spectra in frames):
-            unseen = np.where(shown.any(axis=0), 0.0, _likely_swings(orders, len(unseen), highest))
         proved = any(float(np.max(spectra.attrs.get(TAKEN, [0.0]))) > 0.0 for spectra in frames)
-        return cls(shown, unseen, left_of(frames), proved)
+        return cls(shown, left_of(frames), proved)
 
-    def at(self, half_orders: int, rpm: Floats, *, unseen: bool) -> Floats:
-        """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,), also where it is ``unseen``."""
-        if not 0 < half_orders < len(self.unseen_rev):
+    def at(self, half_orders: int, rpm: Floats) -> Floats:
+        """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,), 0 where pulses show none."""
+        if not len(self.shown) or not 0 < half_orders < self.shown.shape[1]:
             return np.zeros(len(rpm))
-        seen = np.interp(rpm, self.shown[:, 0], self.shown[:, half_orders]) if len(self.shown) else 0.0
-        return seen + np.full(len(rpm), unseen * self.unseen_rev[half_orders])
-
-
-def _likely_swings(orders: Sequence[AgreedOrder], count: int, highest: float) -> Floats:
-    """Swings [rev] (count,) by half order that the lines beside the order which they move most do not exclude.
-
-    A swing of the angle moves each order by its number times its amplitude: where the order of which that is largest
-    has no sidebands, one on either side up to the ``highest`` order looked at, no other has. No shaft swings by more
-    than a share of the speed.
-    """
-    lines = [(agreed.order, line) for agreed in orders for line in agreed.lines]
-    number, carrier = max(lines, key=lambda pair: pair[0] * float(pair[1].amplitude.max()))
-    own = [(order, math.sqrt(np.mean(line.amplitude**2))) for order, line in lines if line.channel == carrier.channel]
-    turned = np.pi * number * math.sqrt(np.mean(carrier.amplitude**2))
-    likely = np.zeros(count)
-    for at in range(1, SWING_NUMBERS.most_half_orders + 1):
-        places = [place for place in (number - 0.5 * at, number + 0.5 * at) if 0.0 < place <= highest]
-        near = [[size for order, size in own if abs(order - place) < 0.5 * WHOLE_HALVES] for place in places]
-        sides = [max(sizes, default=0.0) for sizes in near]
-        answered = SWING_NUMBERS.answer_ratio * min(sides, default=0.0) / turned
-        likely[at] = min(answered, SWING_NUMBERS.most_share / (np.pi * at))
-    return likely
+        return np.interp(rpm, self.shown[:, 0], self.shown[:, half_orders])
 
 
 def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> dict[tuple[str, float], Cause]:
@@ -453,14 +426,14 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
 
     A force at order n of a shaft that swings by ε sin(k θ) has sidebands π n ε at n ± k in time. The structure
     responds to each at its own frequency, so that π n ε (H(n ± k) / H(n) - 1) times the order is left of them in the
-    angle of the shaft (H: the response), the first part alone where pulses do not show the swing; an error ε of the
-    encoder leaves π n ε. What the order itself has where the speed brings it to the frequency of the sideband tells the
-    response there. ``frames`` (OrderFrames) say how the angle swings.
+    angle of the shaft (H: the response); an error ε of the encoder leaves π n ε. What the order itself has where the
+    speed brings it to the frequency of the sideband tells the response there. ``frames`` (OrderFrames) say how the
+    angle swings.
     """
     causes = LineCauses()
     if not orders:
         return causes
-    swings = AngleSwings.of(frames, orders)
+    swings = AngleSwings.of(frames)
     for agreed in orders:
         of_order, within = LineCauses(), 0
         for line in agreed.lines:
@@ -501,14 +474,12 @@ def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swi
     if carrier.amplitude.max() < line.amplitude.max():
         return []  # nothing is the sideband of what is weaker
     rpm, parts = line.speed_rpm[_rows(line)], []
-    # what is not seen must not let two orders each be the sideband of the other
-    unseen = number * float(carrier.amplitude.max()) > order * float(line.amplitude.max())
     for half_orders in (2.0 * abs(order - number), 2.0 * (order + number)):
         at = round(half_orders)
         if not at or abs(half_orders - at) > WHOLE_HALVES:
             continue
         divisors = [n for n in range(1, MOST_TIMES + 1) if at % n == 0]
-        swing = np.sum([(np.pi * number * swings.at(at // n, rpm, unseen=unseen)) ** n for n in divisors], axis=0)
+        swing = np.sum([(np.pi * number * swings.at(at // n, rpm)) ** n for n in divisors], axis=0)
         left = swings.left_rev.get(at // 2, 0.0) if at % 2 == 0 else 0.0
         if not swing.any() and not left:
             continue
