@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # loads xarray, which sentences need not wait for
 CauseKind = Literal[
     "unexplained", "unbalance", "unbalance, bent shaft or misalignment", "gas cycle", "engine kinematics",
     "half order of the four-stroke cycle", "shaft harmonic", "gear mesh", "gear mesh or blade passing", "bearing",
-    "part of a shaft", "sideband", "sideband of an encoder", "sideband by a swing of the angle", "fold",
+    "part of a shaft", "sideband", "sideband by a swing of the angle", "fold",
     "another shaft", "stated shaft", "mains", "motor", "field of a motor", "order", "tone", "another tone",
     "a line of its own", "a natural frequency", "mode", "whirl", "undecided",
 ]  # fmt: skip
@@ -33,7 +33,6 @@ _WORDS: dict[CauseKind, str] = {
     "gear mesh or blade passing": "shaft harmonic or gear mesh or blade passing",
     "fold": "fold of {frequency_hz:.6g} Hz",
     "sideband": "sideband of {of}{carrier:.4g}{unit} spaced by {spacing:.4g}{unit}",
-    "sideband of an encoder": "encoder eccentricity: sideband of order {carrier:g}",
     "another shaft": "{harmonic}a second shaft at {ratio:.4g}",
     "stated shaft": "{harmonic}a shaft at {ratio:.4g} times the stated speed, this one if that is wrong",
     "mains": "{name}",

@@ -1,4 +1,4 @@
-"""Lines that belong to others: sidebands, meshes, harmonics of races and of shafts of their own, encoder errors."""
+"""Lines that belong to others: sidebands, meshes, harmonics of races and of shafts of their own, swings of a shaft."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.intervals import Z95
 from crankorder.orders.swing_evidence import HARMONICS
-from crankorder.orders.true_angle import TAKEN, left_of, swing_shown
+from crankorder.orders.true_angle import TAKEN, swing_shown
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
@@ -377,8 +377,6 @@ def _refined(race: StruckRace, lines: Sequence[tuple[float, float]]) -> StruckRa
 
 SWING_NUMBERS = MethodNumbers("5-identify-explain.toml", "swing_sidebands")
 
-ENCODER_ERROR = "an error of the encoder that the data do not exclude"
-
 WHOLE_HALVES = 0.05
 """An order this near, in half orders, to so many half orders from another is one."""
 
@@ -389,68 +387,53 @@ MOST_TIMES = 4
 """Most turns of a swing by which a line lies beside its order: the n-th sideband is as large as the n-th power."""
 
 
-@dataclass(frozen=True, eq=False)
-class AngleSwings:
-    """Swings of the crank angle: of the shaft, by speed, and what may be left of an encoder's error.
+def _swings_shown(frames: Sequence[xr.Dataset]) -> Floats:
+    """Swings of the shaft that the pulses of ``frames`` (OrderFrames) show: (speeds, 1 + half orders).
 
-    ``shown`` (speeds, 1 + half orders) are the rising speed [rpm] and, behind it, peak amplitudes [rev] at 0.5, 1, 1.5
-    … times a turn; ``left_rev`` by harmonic of the turn; ``proved`` says whether an encoder's error was taken out.
+    The rising speed [rpm] and, behind it, peak amplitudes [rev] at 0.5, 1, 1.5 … times a turn.
     """
+    recordings, whole = [], [2 * harmonic for harmonic in HARMONICS]
+    for spectra in frames:
+        swing = np.abs(swing_shown([spectra]))
+        swing[:, whole] -= np.minimum(swing[:, whole], spectra.attrs.get(TAKEN, 0.0))
+        recordings.append(swing)
+    shown = np.concatenate(recordings)
+    return np.asarray(shown[np.argsort(shown[:, 0])])
 
-    shown: Floats
-    left_rev: dict[int, float]
-    proved: bool
 
-    @classmethod
-    def of(cls, frames: Sequence[xr.Dataset]) -> AngleSwings:
-        """What the ``frames`` (OrderFrames) of a test state of its angle."""
-        recordings, whole = [], [2 * harmonic for harmonic in HARMONICS]
-        for spectra in frames:
-            swing = np.abs(swing_shown([spectra]))
-            swing[:, whole] -= np.minimum(swing[:, whole], spectra.attrs.get(TAKEN, 0.0))
-            recordings.append(swing)
-        shown = np.concatenate(recordings)
-        shown = shown[np.argsort(shown[:, 0])]
-        proved = any(float(np.max(spectra.attrs.get(TAKEN, [0.0]))) > 0.0 for spectra in frames)
-        return cls(shown, left_of(frames), proved)
-
-    def at(self, half_orders: int, rpm: Floats) -> Floats:
-        """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,), 0 where pulses show none."""
-        if not len(self.shown) or not 0 < half_orders < self.shown.shape[1]:
-            return np.zeros(len(rpm))
-        return np.interp(rpm, self.shown[:, 0], self.shown[:, half_orders])
+def _swing_at(shown: Floats, half_orders: int, rpm: Floats) -> Floats:
+    """Swing [rev] at so many ``half_orders`` and at ``rpm`` (rows,) of those ``shown``; 0 where pulses show none."""
+    if not len(shown) or not 0 < half_orders < shown.shape[1]:
+        return np.zeros(len(rpm))
+    return np.interp(rpm, shown[:, 0], shown[:, half_orders])
 
 
 def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> dict[tuple[str, float], Cause]:
-    """Causes of lines of ``orders`` that are no larger than swings of the angle may make them, by channel and order.
+    """Causes of lines of ``orders`` that are no larger than swings of the shaft may make them, by channel and order.
 
     A force at order n of a shaft that swings by ε sin(k θ) has sidebands π n ε at n ± k in time. The structure
     responds to each at its own frequency, so that π n ε (H(n ± k) / H(n) - 1) times the order is left of them in the
-    angle of the shaft (H: the response); an error ε of the encoder leaves π n ε. What the order itself has where the
-    speed brings it to the frequency of the sideband tells the response there. ``frames`` (OrderFrames) say how the
-    angle swings.
+    angle of the shaft (H: the response). What the order itself has where the speed brings it to the frequency of the
+    sideband tells the response there. ``frames`` (OrderFrames) say how the angle swings.
     """
     causes = LineCauses()
     if not orders:
         return causes
-    swings = AngleSwings.of(frames)
+    shown = _swings_shown(frames)
     for agreed in orders:
         of_order, within = LineCauses(), 0
         for line in agreed.lines:
             beside = [(other.order, item) for other in orders for item in other.lines if item.channel == line.channel]
             others = [pair for pair in beside if pair[1] is not line]
-            given = [part for pair in others for part in _given(line, agreed.order, *pair, swings)]
+            given = [part for pair in others for part in _given(line, agreed.order, *pair, shown)]
             if not given:
                 break
             within += _within(line, given, speeds=max(len(item.amplitude) for _, item in beside))
             most = max(given, key=lambda part: float(np.sum(part.amplitude)))
-            maker = ENCODER_ERROR if most.by_encoder else "a swing of the shaft"
-            evidence = f"no larger in most channels than what {maker} gives it beside order {most.carrier:g}"
-            of_order[line.channel, agreed.order] = (
-                Cause("sideband of an encoder", evidence, {"carrier": most.carrier})
-                if most.by_encoder and swings.proved
-                else replace(BY_A_SWING, evidence=evidence)
+            evidence = (
+                f"no larger in most channels than what a swing of the shaft gives it beside order {most.carrier:g}"
             )
+            of_order[line.channel, agreed.order] = replace(BY_A_SWING, evidence=evidence)
         # an order is one thing in all channels
         causes |= of_order if 2 * within >= len(agreed.lines) else {}
     return causes
@@ -458,7 +441,7 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
 
 @dataclass(frozen=True, eq=False)
 class _Given:
-    """Largest ``amplitude`` (rows,) that the order ``carrier`` gives, by an encoder's error or a swing of the shaft.
+    """Largest ``amplitude`` (rows,) that the order ``carrier`` gives by a swing of the shaft.
 
     ``known`` (rows,): whether the speeds are close enough to tell how the structure responds.
     """
@@ -466,11 +449,10 @@ class _Given:
     carrier: float
     amplitude: Floats
     known: Bools
-    by_encoder: bool
 
 
-def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swings: AngleSwings) -> list[_Given]:
-    """What ``swings`` give to ``line`` at ``order`` at most of its ``carrier`` at the order ``number``."""
+def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, shown: Floats) -> list[_Given]:
+    """What the swings ``shown`` give to ``line`` at ``order`` at most of its ``carrier`` at the order ``number``."""
     if carrier.amplitude.max() < line.amplitude.max():
         return []  # nothing is the sideband of what is weaker
     rpm, parts = line.speed_rpm[_rows(line)], []
@@ -479,13 +461,11 @@ def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swi
         if not at or abs(half_orders - at) > WHOLE_HALVES:
             continue
         divisors = [n for n in range(1, MOST_TIMES + 1) if at % n == 0]
-        swing = np.sum([(np.pi * number * swings.at(at // n, rpm)) ** n for n in divisors], axis=0)
-        left = swings.left_rev.get(at // 2, 0.0) if at % 2 == 0 else 0.0
-        if not swing.any() and not left:
+        swing = np.sum([(np.pi * number * _swing_at(shown, at // n, rpm)) ** n for n in divisors], axis=0)
+        if not swing.any():
             continue
         here, largest, known = _amplitudes(carrier, rpm, order / number)
-        parts.append(_Given(number, swing * (here + largest), known, by_encoder=False))
-        parts.append(_Given(number, np.pi * number * left * here, known, by_encoder=True))
+        parts.append(_Given(number, swing * (here + largest), known))
     return [part for part in parts if part.amplitude.any()]
 
 
