@@ -59,7 +59,7 @@ def with_tones(
             least = NUMBERS.least_damping_ratio * f
             if _width_is_seen(problem, tone, fit, f):
                 continue
-            if widest_hz(problem, fit, number, tone.deviance) >= least:
+            if not _on_a_tone(f, fit, floor) and widest_hz(problem, fit, number, tone.deviance) >= least:
                 continue
         fit = tone
     return fit
@@ -86,6 +86,15 @@ def with_tone(problem: Problem, fit: SurfaceFit, number: int) -> SurfaceFit:
     """
     poles = fit.poles.with_width(number, NO_WIDTH * problem.seen.bin_hz, is_tone=True)
     return fit_surface(problem, poles, start=fit.model, steps=10)
+
+
+def _on_a_tone(frequency_hz: float, fit: SurfaceFit, floor: Floor) -> bool:
+    """Whether a narrow line lies on a multiple of a tone, and hardly by chance."""
+    near = NUMBERS.multiple_bins * floor.seen.bin_hz
+    tones = np.array([*(f for f, _ in floor.strong), *fit.poles.frequency_hz[fit.poles.tone].tolist()])
+    multiple = np.rint(frequency_hz / tones)
+    on = (multiple >= 2.0) & (np.abs(frequency_hz - multiple * tones) <= near)
+    return bool((on & (near < NUMBERS.by_chance_share * tones)).any())
 
 
 def _is_wide(fit: SurfaceFit, number: int, problem: Problem, settings: IdentifySettings) -> bool:
