@@ -57,7 +57,7 @@ from crankorder.identify.lines.growth import growth, if_unbalance, reported, vis
 from crankorder.identify.lines.known_lines import LineSeen, held_of
 from crankorder.identify.lines.line_evidence import alias_flags, shown_aliases
 from crankorder.identify.lines.line_phasors import is_half_order, speed_source
-from crankorder.identify.lines.mains import mains_seen, motor_seen
+from crankorder.identify.lines.mains import mains_seen, motor_seen, without_ringing
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.joint_fit import modal_fit
@@ -212,12 +212,13 @@ def _lines(measured: Measured, doubt: str | None, motor: Motor | None, settings:
     by_shaft = doubt is None and speed_source([order_map]) != "stated"
     seen_motor = None if motor is None else motor_seen(motor, held, by_shaft=by_shaft, settings=asked)
     doubt = doubt or (seen_motor.speed_doubt if seen_motor else None)
-    known = (seen_motor.lines if seen_motor else ()) or mains_seen(held, settings=asked)
+    seen = (seen_motor.lines if seen_motor else ()) or mains_seen(held, settings=asked)
     in_channels = order_lines(order_map, settings=asked, orders=settings.orders, frames=frames)
     agreed = orders_agreed(in_channels, frames=frames, order_map=order_map, settings=asked, followed=followed)
     numbered = with_followed(numbered_as_followed(agreed, followed), followed, order_map)
     in_map = unless_sidebands(numbered, order_map, frames)
     fitted = modal_fit(measured.campbell, order_map, in_map, settings=asked, followed=followed, swept=measured.swept)
+    known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
     modal = with_tones_settled(modal, held, settings=asked)
     in_map = in_map if doubt is None else undecided_orders(in_map)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from crankorder.engine.machine_parts import SHAFT, USUAL_SLIP, Motor, MotorLine,
 from crankorder.findings import Motor as MotorRecord
 from crankorder.findings import MotorLine as LineRecord
 from crankorder.findings import MotorSpeed
-from crankorder.identify.found import AgreedOrder, AgreedOrders, Tone
+from crankorder.identify.found import AgreedOrder, AgreedOrders, Mode, Tone
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.known_lines import LineSeen, found_near, sightings
 from crankorder.identify.lines.line_evidence import UNPROVEN
@@ -234,6 +234,30 @@ def _one_frequency(
         there = None if recording.is_half(recording.order_of(place)) else sightings(recording, [place])[0]
         absent += there is not None and bool(np.any(there.amplitude + JOINT_LINES.seen_sigmas * there.error < least))
     return places if absent < len(places) else []
+
+
+def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[LineSeen, ...]:
+    """``known`` lines without those of the mains that are but how one of the ``modes`` rings, each recording its way.
+
+    A supply has one frequency; what noise rings in a mode peaks anywhere within the mode's width.
+    """
+    rung = set[int]()
+    for multiple, group in _by_multiple(known).items():
+        hertz = np.array([seen.hertz for seen in group])
+        for mode in (mode for mode in modes if not mode.undecided):
+            half, away = mode.damping_ratio * mode.frequency_hz, abs(float(np.median(hertz)) - mode.frequency_hz)
+            near = away <= NUMBERS.rings_within * half + mode.frequency_half_hz
+            rung |= {multiple} if near and hertz.std() > NUMBERS.rings_share * half else set()
+    return tuple(seen for seen in known if seen.line.turns != 0.0 or seen.line.mains not in rung)
+
+
+def _by_multiple(known: Iterable[LineSeen]) -> dict[int, list[LineSeen]]:
+    """Those of the ``known`` lines that stay where they are, by their multiple of the mains."""
+    fixed: dict[int, list[LineSeen]] = {}
+    for seen in known:
+        if seen.line.turns == 0.0:
+            fixed.setdefault(seen.line.mains, []).append(seen)
+    return fixed
 
 
 MOTOR_NUMBERS = MethodNumbers("5-identify-explain.toml", "motors")
