@@ -220,7 +220,7 @@ def _lines(measured: Measured, doubt: str | None, motor: Motor | None, settings:
     fitted = modal_fit(measured.campbell, order_map, in_map, settings=asked, followed=followed, swept=measured.swept)
     known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
-    modal = with_tones_settled(modal, held, settings=asked)
+    modal = with_tones_settled(in_map, modal, held, known, settings=asked)
     in_map = in_map if doubt is None else undecided_orders(in_map)
     reader = TrackReader(order_map, frames=frames, followed=followed, fixed=fixed_lines(modal.tones))
     orders = with_track_rows(in_map, reader, settings=settings.orders)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -14,9 +14,9 @@ from crankorder.engine.machine_parts import SHAFT, USUAL_SLIP, Motor, MotorLine,
 from crankorder.findings import Motor as MotorRecord
 from crankorder.findings import MotorLine as LineRecord
 from crankorder.findings import MotorSpeed
-from crankorder.identify.found import AgreedOrder, AgreedOrders, Mode, Tone
+from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, Tone
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
-from crankorder.identify.lines.known_lines import LineSeen, found_near, sightings
+from crankorder.identify.lines.known_lines import LineSeen, found_near, named_by, sightings
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
 from crankorder.orders.intervals import Z95, positive_interval, size_interval
@@ -258,6 +258,44 @@ def _by_multiple(known: Iterable[LineSeen]) -> dict[int, list[LineSeen]]:
         if seen.line.turns == 0.0:
             fixed.setdefault(seen.line.mains, []).append(seen)
     return fixed
+
+
+def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequence[AgreedOrder]) -> ModalFit:
+    """``modal`` with the mains among the ``known`` lines as tones, where no tone of it and none of the ``orders`` is.
+
+    A tone there that may be an order at the speeds of the test is none: where the shaft's orders moved it has stayed.
+    """
+    tones = list(modal.tones)
+    named = [line for agreed in orders if (line := named_by(known, agreed)) is not None]
+    held_by_orders = {seen.line.mains for seen in named if not seen.line.turns}
+    for mains, group in _by_multiple(seen for seen in known if seen.alone).items():
+        hertz = float(np.median([seen.hertz for seen in group]))
+        reaches = [max(KNOWN_LINES.same_hz, Z95 * tone.frequency_error_hz) for tone in tones]
+        near = [abs(tone.frequency_hz - hertz) <= reach for tone, reach in zip(tones, reaches, strict=True)]
+        words = f"{len(group)} recordings hold it at {mains} times one mains frequency"
+        if len(group) >= NUMBERS.least_speeds:
+            tones = [
+                replace(tone, kind="mains", evidence=words) if beside and "order" in tone.kind else tone
+                for tone, beside in zip(tones, near, strict=True)
+            ]
+        if not any(near) and mains not in held_by_orders:
+            tones.append(_as_tone(hertz, group, words))
+    return replace(modal, tones=tuple(sorted(tones, key=lambda tone: tone.frequency_hz)))
+
+
+def _as_tone(hertz: float, group: Sequence[LineSeen], words: str) -> Tone:
+    """A tone at ``hertz``, as large as the recordings of ``group`` hold it together, in the channels that show it.
+
+    Of its amplitude their own errors count, and their scatter.
+    """
+    seconds = min(float(np.ptp(seen.held.time_s)) for seen in group)
+    wander = max(float(np.std([seen.hertz for seen in group])), 0.05 / max(seconds, 1.0))
+    size, error = (np.array([getattr(seen.sighting, key) for seen in group]) for key in ("amplitude", "error"))
+    mean, own = np.sqrt(np.mean(size**2, axis=0)), np.sqrt(np.mean(error**2, axis=0) / len(size))
+    error = np.hypot(own, size.std(axis=0) / np.sqrt(max(len(size) - 1, 1)))
+    columns = zip(group[0].held.channels, mean.tolist(), error.tolist(), own.tolist(), strict=True)
+    shown = {name: (amplitude, whole) for name, amplitude, whole, own_error in columns if amplitude > Z95 * own_error}
+    return Tone(hertz, wander, "mains", shown, words)
 
 
 MOTOR_NUMBERS = MethodNumbers("5-identify-explain.toml", "motors")

@@ -11,10 +11,10 @@ from scipy.special import chdtr, chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.cause import alike_speeds
-from crankorder.identify.found import ModalFit, Mode, Tone, ToneKind
-from crankorder.identify.lines.known_lines import found_near
+from crankorder.identify.found import AgreedOrders, ModalFit, Mode, Tone, ToneKind
+from crankorder.identify.lines.known_lines import LineSeen, found_near
 from crankorder.identify.lines.mains import NUMBERS as MAINS
-from crankorder.identify.lines.mains import multiple_on, multiples_near, supply_told
+from crankorder.identify.lines.mains import multiple_on, multiples_near, supply_told, with_mains_tones
 from crankorder.identify.modes.floor import Floor
 from crankorder.identify.modes.search import dispersion
 from crankorder.identify.modes.surface_fit import NUMBERS as SURFACE_FIT
@@ -333,11 +333,20 @@ def at_one_speed(floor: Floor, *, settings: IdentifySettings) -> bool:
     return len(speed) > 0 and bool(speed.max() < settings.mode_speed_ratio * speed.min())
 
 
-def with_tones_settled(modal: ModalFit, held: Sequence[HeldFrames], *, settings: IdentifySettings) -> ModalFit:
-    """``modal`` with each tone as the recordings hold it: mains, a tone, or an order.
+def with_tones_settled(
+    orders: AgreedOrders,
+    modal: ModalFit,
+    held: Sequence[HeldFrames],
+    known: Sequence[LineSeen],
+    *,
+    settings: IdentifySettings,
+) -> ModalFit:
+    """``modal`` with each tone as the recordings hold it: mains, a tone, or one of the ``orders``.
 
-    ``held`` are the recordings at held speeds; ``settings``: the mains frequencies and how far they wander.
+    ``held`` are the recordings at held speeds; ``known`` lines of the mains; ``settings``: the mains frequencies and
+    how far they wander.
     """
+    modal = with_mains_tones(modal, known, orders)
     modal = without_absent_mains(modal, held, settings=settings)
     return without_doubles(replace(modal, tones=with_one_mains(list(modal.tones), settings=settings)))
 
