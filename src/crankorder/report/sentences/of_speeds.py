@@ -39,7 +39,7 @@ _ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
 _OF_ENCODER = {1.0: "an eccentric", 2.0: "an oval"}  # orders that an encoder off its centre makes
 _ONE_SHARE = 0.85  # shares of the speed whose least is so much of the largest are one
 _SIDES = 8  # orders that a sentence names as likely sidebands
-_NO_SOURCES = "are no larger than sidebands that a swing of the angle makes of stronger ones: no sources for certain"
+_NO_SOURCES = "Sidebands that a swing of the shaft makes of stronger orders may be all there is of"
 _SHOWN = 3  # free bands that a sentence names, the widest
 
 
@@ -116,7 +116,8 @@ def swing_sentences(findings: Findings) -> list[str]:
     by_swing = (record for record in findings.orders if "sideband by a swing of the angle" in record.kinds)
     sides = sorted(set(map(nominal_order, by_swing)))
     more = [f"{len(sides) - _SIDES} more"] if len(sides) > _SIDES else []
-    unsourced = [f"Orders {listed([*order_texts(sides)[:_SIDES], *more])} {_NO_SOURCES}."] if sides else []
+    orders = listed([*order_texts(sides)[:_SIDES], *more])
+    unsourced = [f"{_NO_SOURCES} order{'s' * (len(sides) > 1)} {orders}."] if sides else []
     if not swings:
         return unsourced
     worst = max(swings, key=lambda swing: swing.amplitude_rpm / swing.speed_rpm)
