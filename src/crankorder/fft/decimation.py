@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -46,8 +45,7 @@ PASS_SAMPLES = 65_536
 """Samples filtered at a time: they and what becomes of them stay in the second-level cache."""
 
 
-@dataclass(frozen=True)
-class DecimationStage:
+class DecimationStage(NamedTuple):
     """One FIR low-pass of symmetric ``taps`` (taps,), an odd number, that keeps every ``factor``-th sample."""
 
     factor: int

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -143,8 +142,7 @@ FEWEST_SHARE = 0.5
 """A kernel needs more than this share of the length that Kaiser (1974) gives for a windowed sinc."""
 
 
-@dataclass(frozen=True)
-class Kernel:
+class Kernel(NamedTuple):
     """An interpolation kernel for values between samples.
 
     ``taps`` is the number of samples that enter a value. Content up to ``pass_band`` (share of the sample rate, above

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -59,8 +59,7 @@ CycleStatistics = dict[str, Floats]
 """Variables of SPREAD and n_cycles of one group of cycles: (channels, angles) and (channels,)."""
 
 
-@dataclass(frozen=True)
-class _Cycles:
+class _Cycles(NamedTuple):
     """Cycles of one recording on the grid of angles."""
 
     values: Floats  # (channels, cycles, angles), the first angle wherever the recording begins

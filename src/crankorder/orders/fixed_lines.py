@@ -103,8 +103,7 @@ class OrderRows(NamedTuple):
         return OrderRows(*(np.where(hidden, none, values) for none, values in zip(nothing, self, strict=True)))
 
 
-@dataclass(frozen=True)
-class Stretch:
+class Stretch(NamedTuple):
     """Frames of one recording (OrderFrames ``item``) in one ``row`` of the map.
 
     Spectra are in the ``unit`` (channels,); ``beside`` (channels,) is the noise power of a phasor by the bins beside.
@@ -330,8 +329,7 @@ PADDED = 8
 """Points of the spectrum of a line between its bins."""
 
 
-@dataclass(frozen=True)
-class SteadyLine:
+class SteadyLine(NamedTuple):
     """A line Re(``amplitude`` exp(2πi ``frequency_hz`` t)), t [s] from the first sample; ``amplitude`` (channels,)."""
 
     frequency_hz: float
@@ -380,8 +378,7 @@ def steady_flag(recording: str, lines: tuple[SteadyLine, ...]) -> QualityFlag:
     return remark(recording, "steady_lines_taken_out", detail)
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
+class _Seen(NamedTuple):
     """Transform (channels, bins) of a recording, at ``rate_hz``; ``usable`` one sample in ``every``, ``band_hz``."""
 
     spectrum: Complexes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -325,8 +326,7 @@ class Framing:
         return contrasts(correlation, frames.speed_rpm if swept else None)
 
 
-@dataclass(frozen=True)
-class AtSpeed:
+class AtSpeed(NamedTuple):
     """What frames held at one speed show, each field (channels, orders).
 
     ``coherent`` is the complex mean of the frames, ``error`` its noise power, ``energy`` the mean power, ``noise`` the

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -125,8 +124,7 @@ _VARIABLES = (
 )
 
 
-@dataclass(frozen=True)
-class _Plan:
+class _Plan(NamedTuple):
     """What is followed: ``orders``, bandwidths [Hz] (orders, times) over the ``course``, and rows [s] of one part."""
 
     orders: Floats
@@ -144,8 +142,7 @@ _Part = tuple[_Plan, Complexes, Floats]
 """Plan, amplitudes and their standard errors (channels, orders, rows) of a part of a recording."""
 
 
-@dataclass(frozen=True)
-class NoiseSpectrum:
+class NoiseSpectrum(NamedTuple):
     """Spectrum ``power`` (channels, bins) of the noise between the orders of a whole recording.
 
     It is at ``frequency_hz`` (bins,), and NaN where there was an order at all times.

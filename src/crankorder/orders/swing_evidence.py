@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -178,8 +179,7 @@ def _moved(values: Floats, step: int) -> Floats:
     return np.where(source < n, values[..., np.minimum(source, n - 1)], 0.0)
 
 
-@dataclass(frozen=True)
-class Rows:
+class Rows(NamedTuple):
     """Complex amplitudes ``value`` (rows, half orders) and their ``noise`` power, of the same shape.
 
     A row is a channel in a recording, or in a frame of a sweep.
@@ -189,8 +189,7 @@ class Rows:
     noise: Floats
 
 
-@dataclass(frozen=True)
-class Expected:
+class Expected(NamedTuple):
     """What is assumed of an encoder before its frames are looked at: ``settings`` of orders, and errors of its teeth.
 
     ``tooth_level_rev`` is the root of the mean square amplitude [rev] that misplaced teeth give to each harmonic.

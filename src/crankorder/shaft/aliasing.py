@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +25,7 @@ ORDER_SHARE = 0.6
 MOST_PROPOSED = 400
 
 
-@dataclass(frozen=True)
-class AliasedLine:
+class AliasedLine(NamedTuple):
     """Where a line of ``frequency_hz`` shows: at ``shown_order`` (speeds,) at each of ``speed_rpm`` (speeds,).
 
     ``folds`` (speeds,) says whether it is folded there.
@@ -127,8 +127,7 @@ def find_aliases(
     return sorted(folds, key=lambda fold: fold.frequency_hz)
 
 
-@dataclass(frozen=True)
-class _Track:
+class _Track(NamedTuple):
     """The lines of a test and what a fixed frequency would look like among them."""
 
     speed_rpm: Floats

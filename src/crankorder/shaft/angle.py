@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -382,8 +382,7 @@ RUNNING_SHARE, SLOWEST_RPM = 0.03, 20.0
 """Share of the highest speed, and speed, below which a shaft counts as standing."""
 
 
-@dataclass(frozen=True)
-class SpeedCourse:
+class SpeedCourse(NamedTuple):
     """Speed of a recording [rpm] at ``time_s``, its rate of change [rpm/s], whether the shaft turns; each (times,)."""
 
     time_s: Floats

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -58,8 +59,7 @@ class Modulation:
         return np.asarray(np.max(j1(np.minimum(depth, DEEPEST_RAD)), axis=1))
 
 
-@dataclass(frozen=True)
-class Reference:
+class Reference(NamedTuple):
     """A shaft angle seen as a sampler of motion.
 
     ``teeth_per_rev`` and ``revs_per_cycle`` are per crank revolution and per engine cycle, ``cut_off_order`` is that of
@@ -197,8 +197,7 @@ def unseen_motion(reference: Reference, motion: Mapping[float, float]) -> Modula
 SOUGHT_ORDERS = np.geomspace(1e-2, 1e5, 2048)
 
 
-@dataclass(frozen=True)
-class ReferenceAudit:
+class ReferenceAudit(NamedTuple):
     """Effect of the errors of a crank angle on its orders.
 
     Up to ``highest_carried_order`` neither loss nor sideband is above the limit; it is NaN where the angle has no error

@@ -12,8 +12,8 @@ import difflib
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import accumulate, pairwise
+from typing import NamedTuple
 
 from crankorder.errors import RequestError
 
@@ -54,8 +54,7 @@ _ANGLES_DEG: dict[str, tuple[float, ...]] = {
 _EVEN = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 
 
-@dataclass(frozen=True)
-class ToothPattern:
+class ToothPattern(NamedTuple):
     """Teeth of one encoder revolution: their angles [deg] from tooth 1, by the name of the wheel."""
 
     name: str

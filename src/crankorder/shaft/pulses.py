@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -336,8 +336,7 @@ ONWARDS = 0.5
 QUANTUM_SAMPLES = 1 << 17
 
 
-@dataclass(frozen=True)
-class Position:
+class Position(NamedTuple):
     """``pulses`` made of a position, ``pulses_per_rev`` of them, and the times at which it passes whole turns.
 
     ``turn_s`` (turns,) are these times [s], ``cycle_s`` (cycles,) those [s] at which an angle of two turns starts anew,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import PurePath
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -112,8 +112,7 @@ FEWEST_CYCLES = 2
 """Whole cycles of a recording from which on its swing is told."""
 
 
-@dataclass(frozen=True)
-class SpeedSwing:
+class SpeedSwing(NamedTuple):
     """Peak amplitudes [rpm] of a speed at ``orders`` (orders,) about its mean ``speed_rpm``, over ``cycles`` cycles.
 
     ``amplitude_rpm`` (orders,) is the root of the mean square over the whole cycles, differences between cycles

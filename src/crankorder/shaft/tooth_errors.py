@@ -10,7 +10,8 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,8 +46,7 @@ TOOTH_ORDER, TOOTH_DOUBT = "tooth_order", "tooth_doubt_rev"
 amplitude [rev] there up to which motion may be theirs."""
 
 
-@dataclass(frozen=True, eq=False)
-class ToothErrors:
+class ToothErrors(NamedTuple):
     """Errors of a wheel's teeth: ``line_error_rev`` (lines,), true place less ideal place, in encoder revolutions.
 
     Line 0 is tooth number 0. ``rms_share`` is their root mean square over the pitch; ``level_rev`` the root of the mean
@@ -236,8 +236,7 @@ LOW_ORDERS, LEAST_GAIN = 24, 0.005
 SPEED_ROUNDS = 2
 
 
-@dataclass(frozen=True, eq=False)
-class LinePattern:
+class LinePattern(NamedTuple):
     """Mean deviation [rev] of each of the ``lines`` of one recording from its place line / lines in even rotation.
 
     Line 0 is tooth number 0; lines that the wheel does not have are filled in from their neighbours. ``harmonic_rev``

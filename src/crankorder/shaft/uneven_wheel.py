@@ -12,7 +12,8 @@ short change of speed by as much. Where the speed is steady otherwise, it was no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +36,7 @@ NEIGHBOURS, FEW_TEETH = 2, 6
 JITTER = 0.35
 
 
-@dataclass(frozen=True)
-class FoundPattern:
+class FoundPattern(NamedTuple):
     """The wheel that was found, over how many revolutions, and the share of these that show it without a fault.
 
     ``by_index`` says whether an index told the revolution; without it the wheel may show its pattern several times.
@@ -159,8 +159,7 @@ def _usual(share: Floats) -> Floats:
         return np.full(share.size, share.min())
     around = NEIGHBOURS + 1
     padded = np.concatenate([share[-around:], share, share[:around]])
-    usual: Floats = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1), axis=1)
-    return usual
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1), axis=1))
 
 
 def _whole_teeth(share: Floats) -> Floats | None:
@@ -214,8 +213,7 @@ DISPLACED_SHARE = 0.05
 DISPLACED_RATIO = 4.0
 
 
-@dataclass(frozen=True)
-class Wheel:
+class Wheel(NamedTuple):
     """Teeth on an even grid of ``grid`` steps per revolution.
 
     ``places`` (teeth,) are the steps at which they stand, rising, ``offsets`` (teeth,), or (1,) for all alike, their

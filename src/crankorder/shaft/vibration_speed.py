@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -123,16 +124,14 @@ SELDOM = 0.01
 """Share of the time up to which a doubtful speed, as at the very ends, is not worth a word."""
 
 
-@dataclass(frozen=True)
-class Tie:
+class Tie(NamedTuple):
     """Another fundamental, ``ratio`` times the found one, and its odds as a share of the found one's (0…1)."""
 
     ratio: float
     relative_evidence: float
 
 
-@dataclass(frozen=True)
-class VibrationSpeed:
+class VibrationSpeed(NamedTuple):
     """Crank angle and speed on ``knots``, as the vibration tells them.
 
     ``confidence`` (knots,), 0 to 1, is the probability, by the model of lines and noise, that the true speed is within
@@ -278,8 +277,7 @@ def _transition(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[int, 
     return max(1, math.ceil(steps)), 0.5 / max(0.5, (USUAL_SLEW * steps)) ** 2
 
 
-@dataclass(frozen=True)
-class _Run:
+class _Run(NamedTuple):
     """A run of speeds ``path``, its angle, and how well fundamentals at ``ratio`` to it explain it.
 
     ``ratio_odds`` (ratios,): their log odds; ``frame_odds`` (frames, ratios): those of single frames at ``frame_s``.
