@@ -404,10 +404,8 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
         columns["band_low"].append(stacked("band_low", group).min(axis=0))
         columns["band_high"].append(stacked("band_high", group).max(axis=0))
         revs.append(min(int(used[k].variables["revs_per_frame"].values[0]) for k in group))
-    variables: Variables = {
-        name: (first.variables[name].dims, np.stack(values, axis=1), dict(first.variables[name].attrs))
-        for name, values in columns.items()
-    }
+    like = {name: (np.stack(values, axis=1), first.variables[name]) for name, values in columns.items()}
+    variables: Variables = {name: (one.dims, values, dict(one.attrs)) for name, (values, one) in like.items()}
     variables |= joined_looks([[used[k] for k in group] for group in groups])
     variables["revs_per_frame"] = (("speed",), np.array(revs), dict(first["revs_per_frame"].attrs))
     mean_speed = np.array([speed[group].mean() for group in groups])

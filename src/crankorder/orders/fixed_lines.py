@@ -317,9 +317,8 @@ def _apart(rows: OrderRows, parted: PartedRow) -> tuple[Floats, ...]:
     size = np.clip(np.where(agree | (not parted.lines), own, size), low, high)
     error = np.where(agree, parted.error, np.fmax(0.5 * (high - low) / Z95, error))
     has_phase, freedom = np.isfinite(phase), np.where(agree, parted.freedom, LARGEST_DOF)
-    phase, half = (
-        np.where(has_phase, np.where(agree, *pair), np.nan) for pair in ((own_phase, phase), (own_half, half))
-    )
+    pairs = ((own_phase, phase), (own_half, half))
+    phase, half = (np.where(has_phase, np.where(agree, *pair), np.nan) for pair in pairs)
     return size, phase, error, freedom, low, high, half
 
 
@@ -347,7 +346,7 @@ def without_steady_lines(
     """
     signals, rate = band["signal"].values, float(band.attrs["rate_hz"])
     time = float(band.attrs.get("start_s", 0.0)) + np.arange(signals.shape[1]) / rate
-    usable: Bools = np.asarray(sound_samples(band).all(axis=0))
+    usable = np.asarray(sound_samples(band).all(axis=0))
     if not usable.any():
         return band, ()
     seen = _Seen.of(np.where(usable, signals, 0.0), usable, rate, float(band.attrs.get("band_hz", 0.4 * rate)))
@@ -451,9 +450,8 @@ class _Seen(NamedTuple):
         bend = before - 2.0 * here + after
         finer = 0.5 * (before - after) / bend if bend < 0.0 else 0.0  # top of the parabola through the three
         off = float(offset[best] + finer * (offset[1] - offset[0]))
-        amplitude = _steady_amplitude(
-            narrow * np.exp(-2j * np.pi * off * np.arange(narrow.shape[1]) * dt), window, clear
-        )
+        turned = narrow * np.exp(-2j * np.pi * off * np.arange(narrow.shape[1]) * dt)
+        amplitude = _steady_amplitude(turned, window, clear)
         return None if amplitude is None else SteadyLine(middle + off, amplitude)
 
     def _narrow(self, middle_hz: float) -> Complexes:

@@ -115,13 +115,13 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     order = np.arange(spectrum.shape[2]) / layout.revs
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
     frames = _dataset(band, shaft, layout, spectrum, speed, density)
+    predicted = layout.kernel.predicted_error if layout.kernel else 0.0
     frames.attrs |= {
         "largest_sweep": _largest_sweep(shaft, layout, speed),
         "swept": int(swept),
         "frame_length_by": "sweep" if layout.shortened else "settings",
         "tolerance": settings.tolerance,
-        "predicted_error": (layout.kernel.predicted_error if layout.kernel else 0.0)
-        + float(band.attrs.get("decimation_error", 0.0)),
+        "predicted_error": predicted + float(band.attrs.get("decimation_error", 0.0)),
         "achieved_error": achieved,
         **stated_errors(shaft, revs_per_frame=float(layout.revs)),
     }
@@ -131,16 +131,13 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
 def _no_whole_frame(band: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) -> InputError:
     """The error of a recording all of whose frames touch a gap, with the revolutions of its longest stretch."""
     edges = np.flatnonzero(np.diff(band["usable"].values.any(axis=0), prepend=False, append=False))
-    rate = (
-        band.attrs["samples_per_rev"] if is_by_angle(band) else band.attrs["rate_hz"] * 60.0 / np.nanmedian(speed_rpm)
-    )
+    attrs = band.attrs
+    rate = attrs["samples_per_rev"] if is_by_angle(band) else attrs["rate_hz"] * 60.0 / np.nanmedian(speed_rpm)
     revs = float(np.diff(edges)[::2].max(initial=0) / rate)
-    return InputError(
-        "each frame touches a gap, so that no order is told",
-        place="orders.revs_per_frame",
-        found=f"frames of {layout.revs} revolutions, up to {revs:.3g} between gaps",
-        remedy=f"State [orders] revs_per_frame = {max(2, 2 * int(revs / 4.0))} in a recipe, or close the gaps",
-    )
+    problem = "each frame touches a gap, so that no order is told"
+    found = f"frames of {layout.revs} revolutions, up to {revs:.3g} between gaps"
+    remedy = f"State [orders] revs_per_frame = {max(2, 2 * int(revs / 4.0))} in a recipe, or close the gaps"
+    return InputError(problem, place="orders.revs_per_frame", found=found, remedy=remedy)
 
 
 def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> xr.Dataset:
@@ -185,9 +182,7 @@ def _dataset(
     window = hann(layout.revs * 16)  # a Hann window's noise bandwidth is that of any length
     attrs = {
         "amplitude_scaling": "peak",
-        "phase_reference": shaft.attrs["phase_reference"],
-        "cycle_known": shaft.attrs["cycle_known"],
-        "revs_per_cycle": shaft.attrs["revs_per_cycle"],
+        **{key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")},
         "window": window.name,
         "enbw_bins": window.enbw_bins,
         "revs_per_frame": layout.revs,

@@ -73,9 +73,8 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
     for item in used:
         if item.sizes["order"] > fewest:
             ends = f"orders from {item['order'].values[fewest]:g} to {item['order'].values[-1]:g} left out"
-            flags.append(
-                remark(item.attrs["recording"], "orders_cut", f"{ends}: another recording of the test ends there")
-            )
+            detail = f"{ends}: another recording of the test ends there"
+            flags.append(remark(item.attrs["recording"], "orders_cut", detail))
     return [item if item.sizes["order"] == fewest else item.isel(order=slice(fewest)) for item in used], flags
 
 
@@ -84,9 +83,8 @@ def _at_length(item: xr.Dataset, revs: int, *, by_sweep: bool) -> tuple[xr.Datas
     length = int(item.attrs["revs_per_frame"])
     if length > revs and length % revs == 0 and (cut := reframed(item, revs)) is not None:
         why = "the fastest sweep of the test asks for" if by_sweep else "most others have"
-        return cut, remark(
-            item.attrs["recording"], "frames_cut", f"frames of {length} revolutions are cut into {revs}, as {why}"
-        )
+        detail = f"frames of {length} revolutions are cut into {revs}, as {why}"
+        return cut, remark(item.attrs["recording"], "frames_cut", detail)
     if not by_sweep and NEARLY <= length / revs <= 1.0 / NEARLY and item.attrs["window"] == "hann":
         detail = f"frames of {length} revolutions are shown on the orders of {revs}, which most others have"
         return at_orders_of(item, revs), remark(item.attrs["recording"], "frames_on_common_orders", detail)
@@ -211,17 +209,11 @@ def _dataset(
     item: xr.Dataset, spectrum: Complexes, begin_rev: Floats, speed_rpm: Floats, revs: int, overlap: float = CUT_OVERLAP
 ) -> xr.Dataset:
     order = np.arange(spectrum.shape[2]) / revs
-    made = xr.Dataset(
-        {"spectrum": (("channel", "frame", "order"), spectrum, item["spectrum"].attrs)},
-        coords={name: item[name] for name in item.coords if item[name].dims == ("channel",)}
-        | {
-            "order": ("order", order, item["order"].attrs),
-            "speed": ("frame", speed_rpm, item["speed"].attrs),
-            "crank_angle": ("frame", begin_rev, item["crank_angle"].attrs),
-        },
-        attrs=item.attrs | {"revs_per_frame": revs, "overlap": overlap},
-    )
-    return with_flags(made, [])
+    variables = {"spectrum": (("channel", "frame", "order"), spectrum, item["spectrum"].attrs)}
+    axes = {"order": ("order", order), "speed": ("frame", speed_rpm), "crank_angle": ("frame", begin_rev)}
+    kept = {name: item[name] for name in item.coords if item[name].dims == ("channel",)}
+    coords = {**kept, **{name: (*axis, item[name].attrs) for name, axis in axes.items()}}
+    return with_flags(xr.Dataset(variables, coords, item.attrs | {"revs_per_frame": revs, "overlap": overlap}), [])
 
 
 @dataclass(frozen=True)

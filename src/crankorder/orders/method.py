@@ -103,6 +103,12 @@ def is_by_angle(band: xr.Dataset) -> bool:
     return bool(band.attrs["domain"] == "crank_angle")
 
 
+def less_than_a_cycle(band: xr.Dataset, revs: float, revs_per_cycle: int) -> InputError:
+    """The error of a BandRecording ``band`` (channel, time or crank_angle) of ``revs`` (under ``revs_per_cycle``)."""
+    problem, found = "the recording holds less than one engine cycle", f"{revs:.2f} revolutions"
+    return InputError(problem, file=band.attrs["recording"], found=found, allowed=f"at least {revs_per_cycle}")
+
+
 def kernel_for(samples: TimeSamples, tolerance: float) -> Kernel:
     """Cheapest resampling kernel that errs by less than ``tolerance`` up to the highest content of ``samples``.
 
@@ -275,12 +281,7 @@ def frame_layout(
         assert kernel is not None
         (first, last), beyond = ends, kernel.margin
     if revs == 0:
-        raise InputError(
-            "the recording holds less than one engine cycle",
-            file=band.attrs["recording"],
-            found=f"{ends[1] - ends[0]:.2f} revolutions",
-            allowed=f"at least {cycle}",
-        )
+        raise less_than_a_cycle(band, ends[1] - ends[0], cycle)
     overlap = settings.overlap if wanted == asked else max(settings.overlap, SWEPT_OVERLAP)
     hop = max(1, round(revs * (1.0 - overlap)))
     count = math.floor((last - first - revs + ROUNDING_REV) / hop) + 1

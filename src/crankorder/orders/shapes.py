@@ -127,12 +127,11 @@ def operating_shapes(
     else:
         origin = np.full(len(wanted), place_of(reference, names))
     estimates = np.full((len(ESTIMATES), len(names), len(grouped.groups), len(wanted)), np.nan)
-    for number, on in np.unique(np.stack([origin, on_bin])[:, held], axis=1).T:
+    for number, on in np.unique(np.stack([origin, on_bin])[:, held], axis=1).T.tolist():
         at = np.flatnonzero(held & (origin == number) & (on_bin == on))
-        if number == CRANK:
-            estimates[..., at] = _by_crank(grouped, nearest[at])
-        else:
-            estimates[..., at] = _by_channel(grouped, nearest[at], int(number), on_bin=bool(on))
+        columns, by_crank = nearest[at], number == CRANK
+        told = _by_crank(grouped, columns) if by_crank else _by_channel(grouped, columns, number, on_bin=bool(on))
+        estimates[..., at] = told
     # between bins the Hann window's loss is made up for: the line may lie up to half a bin off
     between = np.where(held & ~on_bin, off, 0.0)
     estimates[:3] /= np.sinc(between) / (1.0 - between * between)
@@ -155,10 +154,8 @@ def _strongest(grouped: LikeSpeedFrames, columns: Ints) -> Ints:
 def _by_crank(grouped: LikeSpeedFrames, columns: Ints) -> Floats:
     """ESTIMATES (…, channels, speeds, columns) at the orders numbered ``columns``, with phases from the crank."""
     whole = averaged(grouped)
-    share = np.divide(
-        np.square(np.abs(whole.coherent)), whole.energy, out=np.full(whole.energy.shape, np.nan),
-        where=whole.energy > 0.0,
-    )  # fmt: skip
+    power, none = np.square(np.abs(whole.coherent)), np.full(whole.energy.shape, np.nan)
+    share = np.divide(power, whole.energy, out=none, where=whole.energy > 0.0)
     spare = np.where(whole.powers >= LEAST_FRAMES, whole.powers - 1.0, np.nan)
     coherence = np.clip((whole.powers * share - 1.0) / spare, 0.0, 1.0)
     return _estimates(whole, intervals_of(whole, grouped), grouped.every.unit, coherence)[..., columns]
@@ -247,14 +244,10 @@ def _dataset(grouped: LikeSpeedFrames, orders: Floats, estimates: Floats, phase_
         ("n_frames", ("speed",), count, "1", "frames"),
         ("n_independent", ("speed",), independent, "1", "independent frames"),
     )
-    shapes = xr.Dataset(
-        {name: described(over, values, units, text) for name, over, values, units, text in variables},
-        coords={
-            **channel_coords(first),
-            "order": ("order", orders, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-            "speed": described("speed", grouped.speed_rpm, "min-1", "speed"),
-        },
-    )
+    words = {"units": "1", "long_name": "order", "order_reference": "crankshaft"}
+    axes = {"order": ("order", orders, words), "speed": described("speed", grouped.speed_rpm, "min-1", "speed")}
+    made = {name: described(over, values, units, text) for name, over, values, units, text in variables}
+    shapes = xr.Dataset(made, coords=channel_coords(first) | axes)
     kept = ("window", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "phase_reference")
     shapes.attrs = {key: first.attrs[key] for key in kept}
     shapes.attrs["phase_reference"] = phase_reference_of(grouped.used)

@@ -80,14 +80,13 @@ def aliased_lines(
     shown_to_order : highest order that is looked at; a fold beyond it disturbs nobody
     """
     speed = np.asarray(speeds_rpm, dtype=np.float64)
-    lines = []
-    for frequency_hz in frequencies_hz:
+
+    def line_of(frequency_hz: float) -> AliasedLine:
         true = 60.0 * frequency_hz / speed
         shown = aliased_order(true, samples_per_rev)
-        lines.append(
-            AliasedLine(frequency_hz, speed, shown, (true > 0.5 * samples_per_rev) & (shown <= shown_to_order))
-        )
-    return [line for line in lines if line.folds.any()]
+        return AliasedLine(frequency_hz, speed, shown, (true > 0.5 * samples_per_rev) & (shown <= shown_to_order))
+
+    return [line for line in map(line_of, frequencies_hz) if line.folds.any()]
 
 
 def find_aliases(

@@ -493,12 +493,10 @@ def integrated_speed(
     at = np.unique(np.append(np.searchsorted(rising, np.arange(0.0, rising[-1], step)), speed.size - 1))
     at = at[np.append(True, np.diff(rising[at]) > 0.0)]
     if at.size < 5:
-        raise InputError(
-            "the shaft does not turn far enough to follow its speed",
-            found=f"{angle[-1]:.3g} revolutions",
-            allowed=f"{5 * step:g} revolutions or more",
-            remedy="Check the unit and source of the speed signal in run.toml",
-        )
+        problem = "the shaft does not turn far enough to follow its speed"
+        remedy = "Check the unit and source of the speed signal in run.toml"
+        allowed = f"{5 * step:g} revolutions or more"
+        raise InputError(problem, found=f"{angle[-1]:.3g} revolutions", allowed=allowed, remedy=remedy)
     time_s = at / rate_hz
     rate = np.gradient(rising[at], time_s)
     error = noise_rpm / 60.0 * np.sqrt(np.maximum(at, 1)) / rate_hz

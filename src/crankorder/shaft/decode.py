@@ -16,7 +16,6 @@ from crankorder.quantities import (
     Floats,
     QualityFlag,
     ShaftAngle,
-    Variables,
     check_dataset,
     described,
     with_flags,
@@ -144,14 +143,9 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
             still = _dataset(recording, _at_constant_speed(recording, np.nan), "none", 0, [])
             still.attrs["has_shaft"] = 0
             return still
-    raise InputError(
-        "no encoder, so no crank angle",
-        file=name,
-        place="encoder.kind",
-        found=kind,
-        allowed=", ".join((*PULSE_KINDS, "speed", "constant", "vibration")),
-        remedy='Name the encoder, a speed channel or a constant speed_rpm in run.toml; a structure has cycle = "none"',
-    )
+    problem, kinds = "no encoder, so no crank angle", ", ".join((*PULSE_KINDS, "speed", "constant", "vibration"))
+    remedy = 'Name the encoder, a speed channel or a constant speed_rpm in run.toml; a structure has cycle = "none"'
+    raise InputError(problem, file=name, place="encoder.kind", found=kind, allowed=kinds, remedy=remedy)
 
 
 def flags_named(recording: str, remarks: Iterable[Remark]) -> list[QualityFlag]:
@@ -218,14 +212,9 @@ class _PulseRun(ShaftRun):
 def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part: slice, *, smooth: bool) -> _PulseRun:
     attrs, pulse_s = recording.attrs, recording.variables["pulse_time"].values[part].astype(np.float64, copy=False)
     stated, ratio = float(attrs.get("pulse_noise_s", 0.0)), float(attrs.get("ratio", 1.0))
+    marks, gaps = times_of(recording, "index_time"), attrs.get("gap_starts_s", ())
     teeth = number_teeth(
-        pulse_s,
-        wheel,
-        settings=settings,
-        index_time_s=times_of(recording, "index_time"),
-        ratio=ratio,
-        noise_s=stated,
-        gap_starts_s=attrs.get("gap_starts_s", ()),
+        pulse_s, wheel, settings=settings, index_time_s=marks, ratio=ratio, noise_s=stated, gap_starts_s=gaps
     )
     cycle = int(attrs["revs_per_cycle"])
     wrong = tooth_errors(teeth, ratio=ratio, revs_per_cycle=cycle, noise_s=stated, settings=settings)
@@ -322,19 +311,16 @@ def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     if "speed_signal" not in recording.variables:
         problem = "the recording holds no speed signal"
         raise InputError(problem, place="encoder", remedy="Check the encoder's source in run.toml")
-    knots, flags = integrated_speed(
-        recording.variables["speed_signal"].values,
-        rate_hz=float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"])),
-        settings=settings,
-        start_s=float(recording.attrs.get("encoder_start_s", 0.0)),
-    )
+    rate_hz = float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"]))
+    signal, start_s = recording.variables["speed_signal"].values, float(recording.attrs.get("encoder_start_s", 0.0))
+    knots, flags = integrated_speed(signal, rate_hz=rate_hz, settings=settings, start_s=start_s)
     per_rev = 2.0 / settings.speed_lowpass_rev
     parts, stops = running_parts(knots.time_s, pulses_per_rev=per_rev, joined=True, lossless=True)
     runs = []
     for part in parts:
         time_s, angle_rev, error_rev = knots.time_s[part], knots.angle_rev[part], knots.standard_error_rev[part]
         speed_rpm = 60.0 * np.gradient(angle_rev, time_s)
-        run = replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)
+        run = AngleKnots(time_s, angle_rev, speed_rpm, error_rev, knots.cut_off_order, knots.noise_s)
         runs.append(ShaftRun(run, (float(time_s[0]), float(time_s[-1])), part.start, part.stop - 1, 0.0))
     flags += [remark for remark in stops if remark[0] == "standstill"]
     return _dataset(recording, joined(runs, per_rev), "none", 0, [*flags, _NO_PHASE])
@@ -346,12 +332,11 @@ def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngl
 
     attrs = recording.attrs
     expected = attrs.get("expected_rpm")
+    stated_rpm = None if expected is None else (float(expected[0]), float(expected[1]))
+    weights = FOUR_STROKE_WEIGHTS if int(attrs["revs_per_cycle"]) == 2 else None
+    signals, rate_hz = recording.variables["signal"].values, float(attrs["rate_hz"])
     vibration = speed_from_vibration(
-        recording.variables["signal"].values,
-        float(attrs["rate_hz"]),
-        settings=settings,
-        expected_rpm=None if expected is None else (float(expected[0]), float(expected[1])),
-        order_weights=FOUR_STROKE_WEIGHTS if int(attrs["revs_per_cycle"]) == 2 else None,
+        signals, rate_hz, settings=settings, expected_rpm=stated_rpm, order_weights=weights
     )
     return _dataset(recording, trusted_angle(vibration), "none", 0, [*vibration.remarks, _BY_VIBRATION])
 
@@ -387,7 +372,7 @@ def _dataset(
     """The ShaftAngle dataset, signed in its history."""
     name = str(recording.attrs["recording"])
     start_s = float(recording.attrs.get("start_s", 0.0))
-    columns: Variables = {
+    columns = {
         "time": described("knot", knots.time_s + start_s, "s", "time of the knot"),
         "crank_angle": described("knot", knots.angle_rev, "rev", "crank angle from top dead centre"),
         "speed": described("knot", knots.speed_rpm, "min-1", "crank speed"),
@@ -461,12 +446,9 @@ def _stopped_between(one: AngleKnots, two: AngleKnots) -> AngleKnots:
     slow = (turned - 0.5 * slowing * float(fast.sum())) / (hole_s - slowing)
     covered = 0.5 * (fast + slow) * slowing
     error = max(one.standard_error_rev[-1], two.standard_error_rev[0], turned / np.sqrt(12.0))
-    between = [
-        [one.time_s[-1] + slowing, two.time_s[0] - slowing],
-        [one.angle_rev[-1] + covered[0], two.angle_rev[0] - covered[1]],
-        [60.0 * slow, 60.0 * slow],
-        [error, error],
-    ]
+    time_s = [one.time_s[-1] + slowing, two.time_s[0] - slowing]
+    angle_rev = [one.angle_rev[-1] + covered[0], two.angle_rev[0] - covered[1]]
+    between = [time_s, angle_rev, [60.0 * slow, 60.0 * slow], [error, error]]
     both = replace(one, cut_off_order=min(one.cut_off_order, two.cut_off_order), noise_s=max(one.noise_s, two.noise_s))
     return _of(both, np.concatenate([_columns(one), between, _columns(two)], axis=1))
 
@@ -477,4 +459,4 @@ def _columns(knots: AngleKnots) -> Floats:
 
 def _of(knots: AngleKnots, columns: Floats) -> AngleKnots:
     time_s, angle_rev, speed_rpm, error_rev = columns
-    return replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)
+    return AngleKnots(time_s, angle_rev, speed_rpm, error_rev, knots.cut_off_order, knots.noise_s)

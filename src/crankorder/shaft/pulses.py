@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -70,7 +70,7 @@ class Pulses:
 
     time_s: Floats
     noise_s: float
-    flags: list[Remark] = field(default_factory=list)
+    flags: list[Remark]
 
 
 def find_pulses(
@@ -145,13 +145,9 @@ def find_pulses(
 
 
 def _no_pulses(edge: str, pulses_per_rev: int, found: str) -> NoPulsesError:
-    return NoPulsesError(
-        f"no {edge} encoder edge found",
-        place="encoder",
-        found=found,
-        allowed=f"{pulses_per_rev} pulses per revolution",
-        remedy="Check the encoder's cable, and its source, kind and edge in run.toml",
-    )
+    problem, allowed = f"no {edge} encoder edge found", f"{pulses_per_rev} pulses per revolution"
+    remedy = "Check the encoder's cable, and its source, kind and edge in run.toml"
+    return NoPulsesError(problem, place="encoder", found=found, allowed=allowed, remedy=remedy)
 
 
 def _spread(some: npt.NDArray[Any], low: float, high: float) -> float:

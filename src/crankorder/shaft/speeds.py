@@ -41,8 +41,7 @@ def speed_groups(speed_rpm: Floats, *, width_rpm: float, owner: Ints | None = No
     known = order[: np.count_nonzero(~np.isnan(speed_rpm))]
     held = [] if owner is None else held_speeds(speed_rpm, owner, width_rpm=width_rpm)
     swept = np.setdiff1d(known, np.concatenate([*held, np.empty(0, dtype=np.int64)]))
-    pieces: list[Indices] = [*held, *(k[None] for k in swept)]
-    pieces.sort(key=lambda piece: (float(speed_rpm[piece].min()), int(piece[0])))
+    pieces = sorted([*held, *swept[:, None]], key=lambda piece: (float(speed_rpm[piece].min()), int(piece[0])))
     groups: list[list[Indices]] = []
     limit = -np.inf
     for piece in pieces:
@@ -174,16 +173,15 @@ def speed_swings(
         for place in sorted(np.flatnonzero(sure).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
             order, amplitude_rpm = float(swing.orders[place]), float(swing.amplitude_rpm[place])
             off_deg = np.degrees(amplitude_rpm / swing.speed_rpm / order)
-            records.append(
-                SpeedSwingFinding(
-                    recording=printable(shaft.attrs["recording"]),
-                    speed_rpm=swing.speed_rpm,
-                    order=order,
-                    amplitude_rpm=amplitude_rpm,
-                    may_be_encoder=bool(off_deg <= encoder_deg.get(order, -np.inf)),
-                    steady_rpm=float(swing.steady_rpm[place]),
-                )
+            record = SpeedSwingFinding(
+                recording=printable(shaft.attrs["recording"]),
+                speed_rpm=swing.speed_rpm,
+                order=order,
+                amplitude_rpm=amplitude_rpm,
+                may_be_encoder=bool(off_deg <= encoder_deg.get(order, -np.inf)),
+                steady_rpm=float(swing.steady_rpm[place]),
             )
+            records.append(record)
     return tuple(records)
 
 
@@ -322,13 +320,12 @@ def shaft_summary(shafts: Sequence[xr.Dataset]) -> xr.Dataset:
     speeds, errors = ([shaft[name].values for shaft in shafts] for name in ("speed", "standard_error"))
     names = np.array([printable(shaft.attrs["recording"]) for shaft in shafts])
     pulses = np.array([float(shaft.attrs["n_pulses"]) for shaft in shafts])
-    variables: Variables = {
+    mean_error = described("recording", _known(np.mean, errors), "rev", "mean standard error of the crank angle")
+    variables = {
         "speed_mean": described("recording", _known(np.mean, speeds), "min-1", "mean speed"),
         "speed_min": described("recording", _known(np.min, speeds), "min-1", "lowest speed"),
         "speed_max": described("recording", _known(np.max, speeds), "min-1", "highest speed"),
-        "standard_error": described(
-            "recording", _known(np.mean, errors), "rev", "mean standard error of the crank angle"
-        ),
+        "standard_error": mean_error,
         "n_pulses": described("recording", pulses, "1", "encoder pulses used"),
     }
     coords = {"recording": described("recording", names, "1", "file name")}

@@ -178,11 +178,10 @@ def _errors_in(pattern: LinePattern, ratio: float, least_share: float, *, engine
     # where a shaft swings at one low order it may at all of them: sidebands tell how much of these is the teeth's
     kept = stands | (low & bool(swings))
     own = np.where(kept | (harmonic == 0), 0.0, pattern.harmonic_rev)
-    error: Floats = np.fft.irfft(own * (lines / 2.0), lines)
     left = float(np.sum(kept)) * level + float(np.sum(power[low & ~kept]))
     left += float(np.sum(pattern.harmonic_variance[1:]))
     return ToothErrors(
-        line_error_rev=error,
+        line_error_rev=np.fft.irfft(own * (lines / 2.0), lines),
         rms_share=rms * lines,
         level_rev=math.sqrt(level),
         kept=tuple(np.flatnonzero(kept).tolist()),
@@ -341,8 +340,8 @@ def _revolution_mean(value: Floats, lines: int) -> Floats:
     if value.size <= lines:
         return np.empty(max(0, value.size - 2 * (lines // 2)))
     total = np.concatenate([np.zeros(1), np.cumsum(value)])
-    over: Floats = (total[lines:] - total[:-lines]) / lines
-    return over if lines % 2 else 0.5 * (over[:-1] + over[1:])
+    over = (total[lines:] - total[:-lines]) / lines
+    return np.asarray(over if lines % 2 else 0.5 * (over[:-1] + over[1:]))
 
 
 def _fill(by_period: Floats, present: Bools) -> None:

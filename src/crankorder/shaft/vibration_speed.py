@@ -224,12 +224,10 @@ def trusted_angle(speed: VibrationSpeed) -> AngleKnots:
     """
     guessed = float(np.mean(speed.confidence < GUESSED))
     if guessed > 0.5:
-        raise InputError(
-            "the vibration does not tell the speed",
-            place="encoder.kind",
-            found=f"less than {GUESSED:.0%} sure for {guessed:.0%} of the time",
-            remedy="Narrow the range of speeds, name the orders that the machine shows, or give a speed or an encoder",
-        )
+        problem = "the vibration does not tell the speed"
+        found = f"less than {GUESSED:.0%} sure for {guessed:.0%} of the time"
+        remedy = "Narrow the range of speeds, name the orders that the machine shows, or give a speed or an encoder"
+        raise InputError(problem, place="encoder.kind", found=found, remedy=remedy)
     return speed.knots
 
 
@@ -262,11 +260,9 @@ def _range_hz(
     low = max(stated_rpm[0] / 60.0, revs * rate_hz / n_samples)
     high = min(stated_rpm[1] / 60.0, 0.4 * rate_hz / FEWEST_ORDERS)
     if not 0.0 < low < high:
-        raise InputError(
-            "the recording cannot tell any speed of the range",
-            found=f"{n_samples / rate_hz:.3g} s at {rate_hz:g} Hz for {stated_rpm[0]:g} to {stated_rpm[1]:g} rpm",
-            allowed=f"{revs:g} revolutions, {FEWEST_ORDERS:g} orders in the band",
-        )
+        found = f"{n_samples / rate_hz:.3g} s at {rate_hz:g} Hz for {stated_rpm[0]:g} to {stated_rpm[1]:g} rpm"
+        allowed = f"{revs:g} revolutions, {FEWEST_ORDERS:g} orders in the band"
+        raise InputError("the recording cannot tell any speed of the range", found=found, allowed=allowed)
     return low, high
 
 

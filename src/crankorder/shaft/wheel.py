@@ -242,11 +242,8 @@ def _followed_even(time_s: Floats, teeth: int, settings: ShaftSettings, noise_s:
     near = step[: 4 * window + 8]
     usual = float(np.median(near))
     reach = JITTER_SIGMAS * math.sqrt(2.0) * _jitter(step)
-    ratios = (
-        min(settings.double_pulse_ratio, 1.0 - reach),
-        max(settings.lost_pulse_ratio, 1.0 + reach),
-        min(1.0 + SPLIT_SHARE, 2.0 - reach),
-    )
+    double, lost = min(settings.double_pulse_ratio, 1.0 - reach), max(settings.lost_pulse_ratio, 1.0 + reach)
+    ratios = (double, lost, min(1.0 + SPLIT_SHARE, 2.0 - reach))
 
     def counted(times: Floats, recent: Floats) -> tuple[Ints, Ints]:
         kept, tooth = np.zeros(times.size, dtype=np.int64), np.zeros(times.size, dtype=np.int64)
@@ -292,24 +289,18 @@ def _uncertain(time_s: Floats, n_lost: int, n_false: int, wheel: Wheel, settings
     problem = f"{seen}: the count is not certain"
     if not wheel.even:
         return _other_wheel(problem, time_s, wheel)
-    return InputError(
-        problem,
-        place="encoder",
-        allowed=f"{settings.max_repaired_fraction:.0%} repaired",
-        remedy="Check pulses_per_rev, missing_teeth and edge in run.toml, and the sensor's gap and cable",
-    )
+    allowed = f"{settings.max_repaired_fraction:.0%} repaired"
+    remedy = "Check pulses_per_rev, missing_teeth and edge in run.toml, and the sensor's gap and cable"
+    return InputError(problem, place="encoder", allowed=allowed, remedy=remedy)
 
 
 def _other_wheel(problem: str, time_s: Floats, wheel: Wheel) -> InputError:
     """The error of pulses that do not fit the ``wheel``; it names the wheel that they do fit, where they tell."""
     pattern = find_pattern(time_s)
-    return InputError(
-        problem,
-        place="encoder",
-        found="" if pattern is None else f"a wheel {pattern.told}",
-        allowed=f"a {wheel.name} wheel of {wheel.places.size} pulses per revolution",
-        remedy="Mend the wheel (pattern, pulses_per_rev, missing_teeth) or the edge in run.toml, or the sensor's gap",
-    )
+    found = "" if pattern is None else f"a wheel {pattern.told}"
+    allowed = f"a {wheel.name} wheel of {wheel.places.size} pulses per revolution"
+    remedy = "Mend the wheel (pattern, pulses_per_rev, missing_teeth) or the edge in run.toml, or the sensor's gap"
+    return InputError(problem, place="encoder", found=found, allowed=allowed, remedy=remedy)
 
 
 def _check_times(time_s: Floats) -> None:
@@ -318,12 +309,9 @@ def _check_times(time_s: Floats) -> None:
     bad = np.flatnonzero(~(time_s[1:] >= time_s[:-1]))
     if bad.size or not np.isfinite(time_s[0]):
         at = int(bad[0]) + 1 if bad.size else 0
-        raise InputError(
-            "pulse times go back or are not finite",
-            place=f"encoder pulse {at}",
-            found=f"{time_s[at]!r} s after {time_s[max(at - 1, 0)]!r} s",
-            remedy="Mend the counter's roll-over, or leave the recording out",
-        )
+        problem, found = "pulse times go back or are not finite", f"{time_s[at]!r} s after {time_s[max(at - 1, 0)]!r} s"
+        remedy = "Mend the counter's roll-over, or leave the recording out"
+        raise InputError(problem, place=f"encoder pulse {at}", found=found, remedy=remedy)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -469,12 +457,9 @@ def stated_wheel(recording: xr.Dataset) -> tuple[Wheel, list[Remark]]:
     between = max(np.split(pulse_s, np.searchsorted(pulse_s, attrs.get("gap_starts_s", []))), key=len)
     found = find_pattern(between, index_time_s=times_of(recording, "index_time"))
     if found is None:
-        raise InputError(
-            "nothing states the pulses per revolution, and the pulses do not tell: they are even, or too few",
-            place="encoder.pulses_per_rev",
-            found=f"{between.size} pulses",
-            remedy="State pulses_per_rev, pattern or tooth_angles_deg in run.toml, or name the index",
-        )
+        problem = "nothing states the pulses per revolution, and the pulses do not tell: they are even, or too few"
+        remedy = "State pulses_per_rev, pattern or tooth_angles_deg in run.toml, or name the index"
+        raise InputError(problem, place="encoder.pulses_per_rev", found=f"{between.size} pulses", remedy=remedy)
     remark: Remark = ("encoder_pattern_found", "suspect", f"wheel found from the pulses: {found.told}; state it")
     angles = found.pattern.angles_deg
     return wheel_of(len(angles), tooth_angles_deg=angles), [remark]
