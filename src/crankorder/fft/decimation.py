@@ -217,9 +217,8 @@ def channel_offsets(signals: NDArray[np.floating]) -> tuple[Floats, bool]:
             gaps = True
             pieces = [row[first : first + PASS_SAMPLES] for first in range(0, len(row), PASS_SAMPLES)]
             count = sum(int(np.isfinite(piece).sum()) for piece in pieces)
-            means[channel] = sum(
-                float(piece[np.isfinite(piece)].sum(dtype=np.float64) / count) for piece in pieces if count
-            )
+            sums = (float(piece[np.isfinite(piece)].sum(dtype=np.float64) / count) for piece in pieces if count)
+            means[channel] = sum(sums)
     return means, gaps
 
 

@@ -195,9 +195,8 @@ def cheapest_kernel(tolerance: float, *, content: float, double: bool = True) ->
         return kernel_of(taps, pass_band=share, double=double)
     lower = f"content further below half of the sample rate, now at {share:g} of it"
     remedy = f"Allow {least:.1e}, or {lower}" + ("." if double else ", or give float64 samples.")
-    raise RequestError(
-        "no interpolation kernel is as accurate as asked", found=f"{tolerance:g}", allowed=f"{least:.1e}", remedy=remedy
-    )
+    problem = "no interpolation kernel is as accurate as asked"
+    raise RequestError(problem, found=f"{tolerance:g}", allowed=f"{least:.1e}", remedy=remedy)
 
 
 @lru_cache(maxsize=256)

@@ -8,7 +8,7 @@ speeds of the test, where no order is near. What is left of the doubt is part of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -116,8 +116,7 @@ class Stretch(NamedTuple):
     unit: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class PartedRow:
+class PartedRow(NamedTuple):
     """One ``row`` of an ``order`` separated from the lines beside it, each array (channels,) unless stated.
 
     ``value`` is the complex amplitude with the phase at angle 0, ``power`` that of the noise with ``freedom`` degrees
@@ -193,10 +192,10 @@ def parted_rows(
         part = _part(stretch, orders, fit, np.abs(off) + DOUBT * error)
         # a number that lines nearby may have moved parts nothing from them
         beats = part.beats and (bool(exact[0]) or not lines)
-        part = replace(part, lines=lines, doubt=part.doubt + most * stretch.unit, beats=beats)
+        part = part._replace(lines=lines, doubt=part.doubt + most * stretch.unit, beats=beats)
         parts.setdefault(stretch.row, []).append(part)
     wanders = bool(not exact[0] and exact[1:].all())
-    return [replace(_joined(of_row), wanders=wanders) for of_row in parts.values()]
+    return [_joined(of_row)._replace(wanders=wanders) for of_row in parts.values()]
 
 
 def _met(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -247,7 +246,7 @@ def spectra(samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, *, den
     assert kernel is not None
     for chunk, slowest_hz in _chunks(samples, shaft, layout, CHUNK_SAMPLES // density):
         per_rev = density * samples_per_rev_for(samples, kernel, slowest_hz=slowest_hz, max_order=layout.max_order)
-        part = replace(layout, begin_rev=layout.begin_rev[chunk])
+        part = layout._replace(begin_rev=layout.begin_rev[chunk])
         begin = part.begin_rev
         angle = begin[0] + np.arange(round((begin[-1] - begin[0] + layout.revs) * per_rev)) / per_rev
         values, usable = signals_at(samples, shaft, angle, kernel)
@@ -316,7 +315,7 @@ def achieved_error(
     if not whole.any():
         return math.nan
     frame = int(np.argmax(np.where(whole.any(axis=0), speed_rpm, -np.inf)))
-    one = replace(layout, begin_rev=layout.begin_rev[frame : frame + 1])
+    one = layout._replace(begin_rev=layout.begin_rev[frame : frame + 1])
     ends = np.append(one.begin_rev, one.begin_rev + layout.revs)
     place = (time_at(ends, **knots_of(shaft)) - samples.start_s) * samples.rate_hz
     room = min(place[0], samples.signals.shape[1] - 1 - place[1])
@@ -327,7 +326,7 @@ def achieved_error(
     low = max(0, math.floor(place[0]) - kernel.margin)
     piece = samples.signals[:, low : math.ceil(place[1]) + kernel.margin + 1].astype(np.float64)
     alone = TimeSamples(piece, samples.rate_hz, samples.start_s + low / samples.rate_hz, samples.content)
-    dense = spectra(alone, shaft, replace(one, kernel=kernel), density=DENSER * density)
+    dense = spectra(alone, shaft, one._replace(kernel=kernel), density=DENSER * density)
     carried = slice(math.floor(samples.content * samples.rate_hz * 60.0 / float(speed_rpm[frame]) * layout.revs) + 1)
     found, truth = spectrum[whole[:, frame], frame, carried], dense[whole[:, frame], 0, carried]
     largest = np.maximum(np.abs(truth).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)

@@ -246,9 +246,8 @@ def between_recordings(spectrum: Complexes, owner: Ints, mean: Complexes) -> Bet
     squares = np.square(weights / total).sum(axis=0)
     share = np.divide(squares, 1.0 - squares, out=np.zeros_like(squares), where=squares < 1.0)
     recordings = np.count_nonzero(weights, axis=0).astype(np.float64)
-    return BetweenRecordings(
-        2.0 * np.sum(along, axis=0) / total, 2.0 * np.sum(across, axis=0) / total, recordings, share
-    )
+    power, turned = (2.0 * np.sum(part, axis=0) / total for part in (along, across))
+    return BetweenRecordings(power, turned, recordings, share)
 
 
 def wider_of(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ from crankorder.orders.averages import (
     steepest_noise_beside,
 )
 from crankorder.orders.intervals import beyond_chance, phases_compare
-from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, remark, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, Variables, remark, with_flags
 from crankorder.shaft.speeds import Indices, held_speeds, speed_groups
 
 LEAST_WINDOW = 0.1
@@ -212,12 +211,12 @@ def _dataset(
     variables = {"spectrum": (("channel", "frame", "order"), spectrum, item["spectrum"].attrs)}
     axes = {"order": ("order", order), "speed": ("frame", speed_rpm), "crank_angle": ("frame", begin_rev)}
     kept = {name: item[name] for name in item.coords if item[name].dims == ("channel",)}
-    coords = {**kept, **{name: (*axis, item[name].attrs) for name, axis in axes.items()}}
-    return with_flags(xr.Dataset(variables, coords, item.attrs | {"revs_per_frame": revs, "overlap": overlap}), [])
+    known: Variables = {name: (*axis, item[name].attrs) for name, axis in axes.items()}
+    made = xr.Dataset(variables, coords=kept, attrs=item.attrs | {"revs_per_frame": revs, "overlap": overlap})
+    return with_flags(made.assign_coords(known), [])
 
 
-@dataclass(frozen=True)
-class Frames:
+class Frames(NamedTuple):
     """Frames to average: ``spectrum`` (channels, frames, orders); the other fields are (frames,).
 
     ``owner`` is the number of the recording, ``begin_rev`` the crank angle [rev] at which the frame begins,
@@ -234,8 +233,7 @@ class Frames:
         return Frames(self.spectrum[:, which], self.owner[which], self.begin_rev[which], self.speed_rpm[which])
 
 
-@dataclass(frozen=True)
-class AllFrames:
+class AllFrames(NamedTuple):
     """Frames of all recordings, whose spectra are joined only where a group needs those of several.
 
     ``spectra`` (channels, frames, orders) of each recording; ``owner``, ``begin_rev``, ``speed_rpm`` (frames,) of all
@@ -293,8 +291,7 @@ def _largest(spectrum: Complexes) -> Floats:
     return np.asarray(np.fmax(np.fmax.reduce(parts, axis=1), -np.fmin.reduce(parts, axis=1)), dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class Framing:
+class Framing(NamedTuple):
     """How frames lie and what their noise is told from.
 
     ``revs`` is their length, ``window`` its name; speeds that differ by over ``swept_rpm`` may change amplitudes.
@@ -334,8 +331,7 @@ class AtSpeed(NamedTuple):
     freedom: Floats
 
 
-@dataclass(frozen=True)
-class LikeSpeedFrames:
+class LikeSpeedFrames(NamedTuple):
     """Frames of a test and the rows of like speed that they are averaged in.
 
     ``used`` are the OrderFrames taken, ``remarks`` say what was left out, ``every`` has their frames, ``framing`` how
@@ -355,10 +351,10 @@ class LikeSpeedFrames:
 
     def at_columns(self, columns: Ints) -> LikeSpeedFrames:
         """The frames at the orders numbered ``columns`` (chosen,), rising; their phases are taken to be shared."""
-        every = replace(self.every, spectra=[spectrum[:, :, columns] for spectrum in self.every.spectra])
+        every = self.every._replace(spectra=[spectrum[:, :, columns] for spectrum in self.every.spectra])
         beside = np.minimum(np.searchsorted(columns, self.framing.beside[columns]), len(columns) - 1)
         shared, worth = np.ones(len(columns), dtype=np.bool_), self.framing.worth[columns]
-        return replace(self, every=every, framing=replace(self.framing, with_phase=shared, beside=beside, worth=worth))
+        return self._replace(every=every, framing=self.framing._replace(with_phase=shared, beside=beside, worth=worth))
 
 
 def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
@@ -401,7 +397,7 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
 
 def _at_speed(frames: Frames, framing: Framing) -> AtSpeed:
     """What ``frames`` held at one speed show."""
-    shape, spectrum = replace(framing, swept_rpm=np.inf).contrasts_of(frames), frames.spectrum
+    shape, spectrum = framing._replace(swept_rpm=np.inf).contrasts_of(frames), frames.spectrum
     mean, energy = spectrum.mean(axis=1), np.square(np.abs(spectrum)).mean(axis=1)
     own = np.full(energy.shape, 0.5 * shape.dof)
     powers = np.full(energy.shape, shape.independent_powers)
@@ -421,12 +417,10 @@ def agree(first: AtSpeed, second: AtSpeed, *, with_phase: Bools) -> bool:
     chance = DIFFER_CHANCE / (2.0 * max(first.energy.size, 1))
     size = np.abs(first.coherent), np.abs(second.coherent)
     apart = np.where(with_phase, np.abs(first.coherent - second.coherent), np.abs(size[0] - size[1]))
-    locked = (apart**2 > (first.error + second.error) * beyond_chance(freedom, chance)) & (
-        apart > ALIKE_SHARE * np.maximum(*size)
-    )
+    beyond = beyond_chance(freedom, chance)
+    locked = (apart**2 > (first.error + second.error) * beyond) & (apart > ALIKE_SHARE * np.maximum(*size))
     root = np.sqrt(first.energy), np.sqrt(second.energy)
     shared = 2.0 * np.maximum(first.noise / first.powers, second.noise / second.powers)
-    louder = (np.square(root[0] - root[1]) > shared * beyond_chance(freedom, chance)) & (
-        np.abs(root[0] - root[1]) > ALIKE_SHARE * np.maximum(*root)
-    )
+    more = np.abs(root[0] - root[1])
+    louder = (np.square(more) > shared * beyond) & (more > ALIKE_SHARE * np.maximum(*root))
     return not bool((locked | louder).any())

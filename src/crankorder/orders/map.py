@@ -269,7 +269,7 @@ def average_of(frames: Frames, framing: Framing) -> Average:
     together, and the channels of very many frames one by one.
     """
     if len(frames.spectrum) > 1 and frames.spectrum.size > MOST_VALUES:
-        each = (replace(frames, spectrum=channel[None]) for channel in frames.spectrum)
+        each = (frames._replace(spectrum=channel[None]) for channel in frames.spectrum)
         of_channels = [average_of(channel, framing) for channel in each]
         return Average(*(np.concatenate([getattr(of, field.name) for of in of_channels]) for field in fields(Average)))
     seen = np.isfinite(frames.spectrum.real)
@@ -284,7 +284,7 @@ def average_of(frames: Frames, framing: Framing) -> Average:
         if not pattern.any():
             continue
         part = Frames(np.ascontiguousarray(columns[at].T)[None], frames.owner, frames.begin_rev, frames.speed_rpm)
-        alone = replace(framing, with_phase=framing.with_phase[at % n_orders], beside=framing.beside[:0])
+        alone = framing._replace(with_phase=framing.with_phase[at % n_orders], beside=framing.beside[:0])
         mean = _average_whole(part.of(pattern), alone)
         for name, column in columns_of.items():
             column[at] = getattr(mean, name)[0]

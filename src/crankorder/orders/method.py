@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -48,8 +47,7 @@ MOST_CHANGED, UNUSUAL_RATE = 0.3, 3.0
 which the frame stands for no speed: a step."""
 
 
-@dataclass(frozen=True)
-class TimeSamples:
+class TimeSamples(NamedTuple):
     """``signals`` (channels, samples) at ``rate_hz`` from ``start_s`` on; ``content`` is the share of the rate in use.
 
     ``usable`` (channels, samples) is False within gaps and what filters spread of them; None where there are none.
@@ -68,7 +66,7 @@ class TimeSamples:
         ends = ((0, 0), (count, count))
         signals = np.pad(self.signals, ends, mode="reflect", reflect_type="odd")
         usable = None if self.usable is None else np.pad(self.usable, ends, mode="reflect")
-        return replace(self, signals=signals, usable=usable, start_s=self.start_s - count / self.rate_hz)
+        return self._replace(signals=signals, usable=usable, start_s=self.start_s - count / self.rate_hz)
 
 
 def time_samples(band: xr.Dataset, *, tolerance: float) -> TimeSamples:
@@ -206,8 +204,7 @@ def signals_by_angle(band: xr.Dataset, shaft: xr.Dataset, *, max_order: float, t
     return SignalsByAngle(values, angle, samples_per_rev, usable)
 
 
-@dataclass(frozen=True)
-class FrameLayout:
+class FrameLayout(NamedTuple):
     """Where the frames of a recording lie: each ``revs`` long, beginning at ``begin_rev`` (frames,), in rev.
 
     ``kernel`` resamples them, None where they are taken as sampled; ``highest`` is the share of the sample rate up to

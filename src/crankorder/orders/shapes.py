@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -175,14 +174,14 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
         line = frames.spectrum[origin].copy()
         for number in np.unique(frames.owner) if on_bin else ():
             own = frames.owner == number
-            alone = replace(frames.of(own), spectrum=line[None, own])
+            alone = frames.of(own)._replace(spectrum=line[None, own])
             mean = average_of(alone, part.framing)
             seen = is_seen(np.abs(mean.coherent), mean.noise * mean.left, 2.0 * mean.own)
             line[own] = np.where(np.isfinite(line[own]) & seen, mean.coherent, line[own])
         size = np.abs(line)
         with np.errstate(invalid="ignore"):  # NaN stays
             unit = np.divide(line, size, out=np.ones_like(line), where=size != 0.0)
-        return replace(frames, spectrum=frames.spectrum * unit.conj())
+        return frames._replace(spectrum=frames.spectrum * unit.conj())
 
     def from_origin(frames: Frames) -> Frames:
         """What turns a channel and the origin alike turns no phase between them."""
@@ -191,7 +190,7 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
         wander = spectrum[origin] - mean[origin]
         with np.errstate(invalid="ignore"):
             relative = np.divide(wander, mean[origin], out=np.zeros_like(wander), where=np.abs(mean[origin]) > 0.0)
-        return replace(frames, spectrum=spectrum - mean[:, None] * relative)
+        return frames._replace(spectrum=spectrum - mean[:, None] * relative)
 
     whole, between = averaged(part, turned), averaged(part, from_origin)
     values, phases = (intervals_of(each, part, by_crank=False) for each in (whole, between))

@@ -71,8 +71,7 @@ LAST_STEPS = 9
 """… and steps with the share that is allowed in the end."""
 
 
-@dataclass(frozen=True)
-class Swing:
+class Swing(NamedTuple):
     """Error of the crank angle that repeats ``harmonic`` times per revolution: ``size`` E_k [rev] and its certainty.
 
     ``error_rev`` is the standard error of each part of ``size``, ``bound_rev`` the value that |E_k| exceeds with a
@@ -287,7 +286,7 @@ def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[comp
             reach = LIKELY * math.hypot(error, swing.error_rev, expected.settings.sideband_slack * abs(size))
             alike = abs(size) > LIKELY * error and abs(size - swing.size) < reach
             lacking = _lacking(rows, harmonic, taken, expected, size) if abs(size) > LIKELY * error else (0, 0)
-            swings[harmonic] = replace(swing, proved=swing.proved and alike, lacking=lacking)
+            swings[harmonic] = swing._replace(proved=swing.proved and alike, lacking=lacking)
             taken.pop(harmonic, None)
             # what is likely but not proved is taken out on trial: sidebands of sidebands hide others' proof
             if abs(swing.size) > LIKELY * swing.error_rev and abs(swing.size) <= expected.largest_rev(harmonic):
@@ -413,7 +412,7 @@ def unless_lines_lack(of: Mapping[str, tuple[Swing, ...]]) -> dict[str, tuple[Sw
     counts = np.array([[swing.lacking for swing in own] for own in of.values()]).reshape(len(of), -1, 2).sum(axis=0)
     spares = counts[:, 0] > MOST_LACKING * counts[:, 1]
     return {
-        name: tuple(replace(s, proved=s.proved and not no) for s, no in zip(own, spares.tolist(), strict=True))
+        name: tuple(s._replace(proved=s.proved and not no) for s, no in zip(own, spares.tolist(), strict=True))
         for name, own in of.items()
     }
 

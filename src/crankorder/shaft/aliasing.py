@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -43,8 +42,7 @@ class AliasedLine(NamedTuple):
         return f"{self.frequency_hz:g} Hz shows at order {orders}"
 
 
-@dataclass(frozen=True)
-class Alias:
+class Alias(NamedTuple):
     """Found lines that are folds of a fixed ``frequency_hz``.
 
     ``points`` (folds,) are the indices of these lines among the found ones, ``false_aliases`` how many such frequencies
@@ -195,7 +193,7 @@ def _unnamed(track: _Track, free: Bools, highest_hz: float) -> list[Alias]:
         alike = [hertz for hertz in same if abs(hertz - exact) > near_hz]
         best = track.fold(exact, free, tried=tried) or best
         if alike:
-            best = replace(best, evidence=f"{best.evidence}; {min(alike):.5g} Hz would fold alike")
+            best = best._replace(evidence=f"{best.evidence}; {min(alike):.5g} Hz would fold alike")
         folds.append(best)
         free[best.points] = False
     return folds

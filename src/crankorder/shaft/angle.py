@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,8 +37,7 @@ SHORT_RUN = 12
 CARRIED_CUT_OFF = 0.05
 
 
-@dataclass(frozen=True)
-class AngleKnots:
+class AngleKnots(NamedTuple):
     """Knots of crank angle, each array (knots,): time [s], angle [rev], speed [rpm], standard error of the angle [rev].
 
     Between knots the angle is the cubic Hermite polynomial whose slopes are the speeds. ``cut_off_order`` is the order

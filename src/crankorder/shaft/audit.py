@@ -226,10 +226,12 @@ def reference_audit(
     percent = settings.reference_irregularity_percent
     unseen = unseen_motion(reference, expected_motion(reference, seen, percent=percent))
     causes = (pulse_noise(reference, revs_per_frame=revs_per_frame), unseen)
-    carried = _carried(causes, settings.reference_bias_limit)
+    limit = settings.reference_bias_limit
+    above = np.maximum(_loss(causes, SOUGHT_ORDERS), _sideband(causes, SOUGHT_ORDERS)) > limit
+    carried = float(SOUGHT_ORDERS[max(0, int(np.argmax(above)) - 1)]) if above.any() else math.inf
     told = "as the motion seen lets expect" if seen else f"if {percent:g} % of the speed swings at order 1"
     top = order.max(initial=0.0)
-    limits = [_limits(causes, top, carried, reference, told, settings.reference_bias_limit)] if top > carried else []
+    limits = [_limits(causes, top, carried, reference, told, limit)] if top > carried else []
     return ReferenceAudit(highest_carried_order=carried, causes=causes, remarks=tuple(limits))
 
 
@@ -239,12 +241,6 @@ def _loss(causes: Sequence[Modulation], order: Floats) -> Floats:
 
 def _sideband(causes: Sequence[Modulation], order: Floats) -> Floats:
     return np.asarray(np.max([cause.sideband(order) for cause in causes], axis=0))
-
-
-def _carried(causes: Sequence[Modulation], limit: float) -> float:
-    """Highest order up to which neither loss nor any sideband is above ``limit``; infinite where none is."""
-    above = np.maximum(_loss(causes, SOUGHT_ORDERS), _sideband(causes, SOUGHT_ORDERS)) > limit
-    return float(SOUGHT_ORDERS[max(0, int(np.argmax(above)) - 1)]) if above.any() else math.inf
 
 
 def _limits(

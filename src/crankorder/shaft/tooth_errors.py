@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -108,7 +107,7 @@ def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedT
     for _ in range(SPEED_ROUNDS):
         tooth_s = (moved[after] - moved[before]) / (tooth[after] - tooth[before])
         moved = time_s - errors.line_error_rev[tooth % lines] * lines * tooth_s
-    return replace(teeth, time_s=moved) if (np.diff(moved) > 0.0).all() else teeth
+    return teeth._replace(time_s=moved) if (np.diff(moved) > 0.0).all() else teeth
 
 
 def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -210,7 +209,7 @@ def speed_from_vibration(
     confidence = run_probability(odds, run.path, offsets, *transition, near_states) / others
     knots, times = run.knots, float(ratio[chosen])
     if times != 1.0:
-        scaled = replace(knots, angle_rev=times * knots.angle_rev, speed_rpm=times * knots.speed_rpm)
+        scaled = knots._replace(angle_rev=times * knots.angle_rev, speed_rpm=times * knots.speed_rpm)
         knots = phase_corrected(signals, rate_hz, scaled, order)
     confidence = np.interp(knots.time_s, evidence.time_s, confidence)
     remarks = _doubts(knots.time_s, confidence, ties)
@@ -235,9 +234,8 @@ def _possible_ratios(speed_hz: Floats, range_hz: tuple[float, float]) -> Floats:
     """1 and those of TIE_RATIOS that keep nearly all of the speeds in the range."""
     low, high = np.quantile(speed_hz, [0.05, 0.95])
     slack = 1.0 + SAME_SPEED
-    return np.array(
-        [1.0, *(r for r in TIE_RATIOS if r * low * slack >= range_hz[0] and r * high <= range_hz[1] * slack)]
-    )
+    inside = (r for r in TIE_RATIOS if r * low * slack >= range_hz[0] and r * high <= range_hz[1] * slack)
+    return np.array([1.0, *inside])
 
 
 def _checked(signals: Floats) -> Floats:
@@ -346,16 +344,14 @@ def _corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) 
     from scipy.ndimage import uniform_filter1d
 
     total = float(run.angle_rev[-1])
-    centre = np.linspace(
-        0.5 * FRAME_REVS, total - 0.5 * FRAME_REVS, max(3, int((total - FRAME_REVS) * KNOTS_PER_FRAME / FRAME_REVS) + 1)
-    )
+    count = max(3, int((total - FRAME_REVS) * KNOTS_PER_FRAME / FRAME_REVS) + 1)
+    centre = np.linspace(0.5 * FRAME_REVS, total - 0.5 * FRAME_REVS, count)
     turn, weight, snr = _turns(signals, rate_hz, run, centre, order)
     gain, hop = 2.0 * np.pi * order, float(centre[1] - centre[0])
     change, vote = _outvoted(turn, weight, gain, hop)
     # what each order alone would add to the angle, about the middle
-    own = np.vstack(
-        (np.zeros(order.size), np.cumsum(wrapped(turn - change[:, None] * gain, 2.0 * np.pi) / gain, axis=0))
-    )
+    moved = np.cumsum(wrapped(turn - change[:, None] * gain, 2.0 * np.pi) / gain, axis=0)
+    own = np.vstack((np.zeros(order.size), moved))
     own -= own[centre.size // 2]
     trust = np.vstack((vote[:1], vote)) * gain**2
     share = trust / np.maximum(trust.sum(axis=1, keepdims=True), 1e-300)
@@ -368,9 +364,8 @@ def _corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) 
     error = np.sqrt(spread + noise + noise[noise.size // 2] + averaged)
     # beyond the frames the run errs as where they end, give or take what it usually does
     ends = KNOTS_PER_FRAME // 2
-    angle = np.concatenate(
-        (np.linspace(0.0, centre[0], ends + 1)[:-1], centre, np.linspace(centre[-1], total, ends + 1)[1:])
-    )
+    before, after = np.linspace(0.0, centre[0], ends + 1)[:-1], np.linspace(centre[-1], total, ends + 1)[1:]
+    angle = np.concatenate((before, centre, after))
     rate = np.pad(change / hop, ends, "edge")
     true = angle + np.concatenate(([0.0], np.cumsum(rate * np.diff(angle))))
     usual, beyond = float(np.std(change / hop)), np.abs(angle - np.clip(angle, centre[0], centre[-1]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -70,18 +70,14 @@ def at_index(
         flags.append(("no_index", "suspect", detail))
         return tooth, float("nan"), period
     lost = np.maximum(0, np.round(np.diff(place) / period) - 1).astype(np.int64)
-    if renumber and slipped.any():
-        detail = f"pulse count put right at {slipped.sum()} index marks, {listed_times(marks[slipped])}"
-        flags.append(("encoder_slip", "suspect", detail))
-    elif slipped.any():
-        detail = f"{slipped.sum()} times the index moves against the wheel, {listed_times(marks[slipped])}"
-        flags.append(("index_slip", "suspect", detail))
-    if odd.any():
-        detail = f"{odd.sum()} index marks out of place, left out, {listed_times(marks[odd])}"
-        flags.append(("index_extra", "suspect", detail))
-    if lost.any():
-        detail = f"{lost.sum()} index marks missing, filled in, after those {listed_times(marks[:-1][lost > 0])}"
-        flags.append(("index_lost", "suspect", detail))
+    moved = f"{slipped.sum()} times the index moves against the wheel,"
+    moved = f"pulse count put right at {slipped.sum()} index marks," if renumber else moved
+    told = (
+        ("encoder_slip" if renumber else "index_slip", moved, marks[slipped]),
+        ("index_extra", f"{odd.sum()} index marks out of place, left out,", marks[odd]),
+        ("index_lost", f"{lost.sum()} index marks missing, filled in, after those", marks[:-1][lost > 0]),
+    )
+    flags += [(name, "suspect", f"{what} {listed_times(times)}") for name, what, times in told if times.size]
     return renumbered if renumber else tooth, anchor, period
 
 
@@ -139,8 +135,7 @@ CERTAIN_MARGIN = 1.0
 MOST_MISFIT = 0.4
 
 
-@dataclass(frozen=True)
-class NumberedTeeth:
+class NumberedTeeth(NamedTuple):
     """Pulses that were kept, each with its tooth number on an endless wheel (lost teeth leave holes in the numbers).
 
     ``time_s`` (pulses,) are their times [s], ``tooth`` (pulses,) the numbers. ``index_tooth`` is the tooth number,
