@@ -238,19 +238,15 @@ def _dataset(
     over = ("channel", "speed", "cycle_angle")
     values = {name: np.stack([part[name] for part in parts], axis=1) for name in SPREAD}
     count = np.stack([part["n_cycles"] for part in parts], axis=1).astype(np.int64)
-    return xr.Dataset(
-        {
-            **{name: described(over, values[name], "see unit", text) for name, text in SPREAD.items()},
-            "n_cycles": described(over[:2], count, "1", "cycles averaged"),
-            "n_excluded": described(over[:2], excluded, "1", "cycles that a gap reaches"),
-            "highest_order": described("speed", highest, "1", "highest order that is held whole"),
-        },
-        coords={
-            **channel_coords(like),
-            "speed": described("speed", speed, "min-1", "mean speed of the cycles"),
-            "cycle_angle": described("cycle_angle", angle, "degree", "crank angle within the cycle"),
-        },
-    )
+    variables = {
+        **{name: described(over, values[name], "see unit", text) for name, text in SPREAD.items()},
+        "n_cycles": described(over[:2], count, "1", "cycles averaged"),
+        "n_excluded": described(over[:2], excluded, "1", "cycles that a gap reaches"),
+        "highest_order": described("speed", highest, "1", "highest order that is held whole"),
+    }
+    axes = {"speed": described("speed", speed, "min-1", "mean speed of the cycles")}
+    axes["cycle_angle"] = described("cycle_angle", angle, "degree", "crank angle within the cycle")
+    return xr.Dataset(variables, coords=channel_coords(like) | axes)
 
 
 def _gap_flags(made: xr.Dataset) -> list[QualityFlag]:

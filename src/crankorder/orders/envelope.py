@@ -217,9 +217,8 @@ def _bands_and_pieces(
     if not len(speed) or not np.isfinite(speed).all() or not float(speed.max()) > 0.0:
         return (), [], "the speed is not known"
     rate, fastest_hz = float(recording.attrs["rate_hz"]), float(speed.max()) / 60.0
-    bands = band_tree(
-        settings.max_order * fastest_hz, HIGHEST_SHARE * rate, least_width_hz=settings.envelope_max_order * fastest_hz
-    )
+    low_hz, width_hz = settings.max_order * fastest_hz, settings.envelope_max_order * fastest_hz
+    bands = band_tree(low_hz, HIGHEST_SHARE * rate, least_width_hz=width_hz)
     if not bands:
         reason = f"at {rate:g} samples/s no band above order {settings.max_order:g} is wide enough for envelope orders "
         return (), [], f"{reason}up to {settings.envelope_max_order:g} at {60.0 * fastest_hz:.0f} min-1"

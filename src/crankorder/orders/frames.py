@@ -189,16 +189,11 @@ def _dataset(
         "method": method,
     }
     dims, text = ("channel", "frame", "order"), "complex peak amplitude by order"
-    return xr.Dataset(
-        {"spectrum": described(dims, spectrum, "see unit", text)},
-        coords=unindexed(
-            **channel_coords(band),
-            order=("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-            speed=described("frame", speed, "min-1", "mean speed of the frame"),
-            crank_angle=described("frame", layout.begin_rev, "rev", "crank angle at the start"),
-        ),
-        attrs=kept | attrs,
-    )
+    variables = {"spectrum": described(dims, spectrum, "see unit", text)}
+    axes = {"order": ("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"})}
+    rows = {"speed": described("frame", speed, "min-1", "mean speed of the frame")}
+    rows["crank_angle"] = described("frame", layout.begin_rev, "rev", "crank angle at the start")
+    return xr.Dataset(variables, coords=unindexed(**channel_coords(band), **axes, **rows), attrs=kept | attrs)
 
 
 def _flags(

@@ -142,10 +142,9 @@ def _rician_ends(ratio: Floats) -> tuple[Floats, Floats]:
     far = np.sqrt(np.maximum(ratio**2 - 0.5, 0.0))
     half = Z95 / np.sqrt(2.0)
     near = ratio < known[-1]
-    return (
-        np.where(near, np.interp(ratio, known, low), far - half),
-        np.where(near, np.interp(ratio, known, high), far + half),
-    )
+    ends = zip((low, high), (far - half, far + half), strict=True)
+    lower, upper = (np.where(near, np.interp(ratio, known, end), beyond) for end, beyond in ends)
+    return lower, upper
 
 
 @functools.cache

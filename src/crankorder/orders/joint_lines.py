@@ -66,6 +66,9 @@ class Place(NamedTuple):
     turns: float = 0.0
 
 
+Spectrum = NDArray[np.complexfloating]
+
+
 @dataclass(frozen=True, eq=False)
 class HeldFrames:
     """Frames of a recording at one speed: ``spectrum`` (channels, frames, bins) of the orders ``axis`` (bins,).
@@ -74,7 +77,7 @@ class HeldFrames:
     their length; ``rpm`` the mean speed; ``channels`` names.
     """
 
-    spectrum: NDArray[np.complexfloating]
+    spectrum: Spectrum
     axis: Floats
     turn: Floats
     clock: PPoly
@@ -84,13 +87,7 @@ class HeldFrames:
 
     @classmethod
     def of(
-        cls,
-        spectrum: NDArray[np.complexfloating],
-        turn: Floats,
-        speed_rpm: Floats,
-        *,
-        revs: float,
-        channels: Sequence[str] = (),
+        cls, spectrum: Spectrum, turn: Floats, speed_rpm: Floats, *, revs: float, channels: Sequence[str] = ()
     ) -> HeldFrames:
         """Frames with the middles ``turn`` [rev], rising, at ``speed_rpm``; both (frames,), finite, one frame or more.
 

@@ -370,19 +370,16 @@ def _dataset(
         "standard_error": described("knot", knots.standard_error_rev, "rev", "standard error of the crank angle"),
     }
     signed = f"shaft: {knots.time_s.size} knots from {n_pulses} pulses, angle 0 is {reference}"
-    shaft = xr.Dataset(
-        columns,
-        attrs={
-            "recording": name,
-            "phase_reference": reference,
-            "cycle_known": int(cycle_known or int(recording.attrs["revs_per_cycle"]) == 1),
-            "revs_per_cycle": int(recording.attrs["revs_per_cycle"]),
-            "n_pulses": n_pulses,
-            "domain": str(recording.attrs["domain"]),
-            "history": f"{recording.attrs.get('history', '')}\n{signed}".lstrip(),
-        },
-    )
-    shaft = with_flags(shaft, flags_named(name, remarks))
+    attrs = {
+        "recording": name,
+        "phase_reference": reference,
+        "cycle_known": int(cycle_known or int(recording.attrs["revs_per_cycle"]) == 1),
+        "revs_per_cycle": int(recording.attrs["revs_per_cycle"]),
+        "n_pulses": n_pulses,
+        "domain": str(recording.attrs["domain"]),
+        "history": f"{recording.attrs.get('history', '')}\n{signed}".lstrip(),
+    }
+    shaft = with_flags(xr.Dataset(columns, attrs=attrs), flags_named(name, remarks))
     check_dataset(shaft, "shaft_angle")
     return ShaftAngle(shaft)
 

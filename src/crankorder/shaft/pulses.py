@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -61,8 +60,7 @@ class NoPulsesError(InputError):
     """The trace holds no pulse: it is constant, not finite, or never crosses its own middle."""
 
 
-@dataclass(frozen=True)
-class Pulses:
+class Pulses(NamedTuple):
     """Pulses of a trace: ``time_s`` (pulses,) from its start, the standard deviation ``noise_s`` of one, and remarks.
 
     ``flags`` holds (flag, severity, detail): severity is "info", "suspect" or "bad".
@@ -108,7 +106,9 @@ def find_pulses(
     if samples.ndim != 1 or samples.size < 2:
         raise InputError("the encoder trace has no samples", found=samples.shape, allowed="one axis, 2 samples or more")
     sign = 1.0 if edge == "rising" else -1.0
-    some, lowest = _some(samples), float(samples.min())
+    some, lowest = samples, float(samples.min())
+    if samples.size > LEVEL_SAMPLES:  # blocks of it: a stride could keep step with the pulses
+        some = samples[: samples.size // 64 * 64].reshape(64, -1)[:, : LEVEL_SAMPLES // 64].ravel()
     levels = _levels(some, lowest, float(samples.max()))
     low, high = sorted(sign * level for level in levels)
     if not levels[1] > levels[0]:
@@ -199,13 +199,6 @@ def _fired_square(trace, sign, middle, half):  # type: ignore[no-untyped-def]
             at = np.concatenate((at, at))  # as much room again
         at[n] = i
         n += 1
-
-
-def _some(samples: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Enough samples to find the levels of a trace: blocks, for a stride could keep step with the pulses."""
-    if samples.size <= LEVEL_SAMPLES:
-        return samples
-    return samples[: samples.size // 64 * 64].reshape(64, -1)[:, : LEVEL_SAMPLES // 64].ravel()
 
 
 def _mark_levels(samples: npt.NDArray[Any]) -> list[float]:

@@ -305,10 +305,8 @@ def trace_variables(shafts: Sequence[xr.Dataset]) -> Variables:
     traces = np.empty((len(_TRACES), len(shafts), KNOTS), dtype=np.float32)  # of thousands of recordings: held once
     for number, shaft in enumerate(shafts):
         traces[:, number] = speed_trace(shaft["time"].values, shaft["speed"].values)
-    return {
-        name: described(("recording", "knot"), traces[number], unit, text)
-        for number, (name, (unit, text)) in enumerate(_TRACES.items())
-    }
+    dims, rows = ("recording", "knot"), zip(_TRACES.items(), traces, strict=True)
+    return {name: described(dims, trace, unit, text) for (name, (unit, text)), trace in rows}
 
 
 def shaft_summary(shafts: Sequence[xr.Dataset]) -> xr.Dataset:

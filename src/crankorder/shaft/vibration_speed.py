@@ -197,11 +197,8 @@ def speed_from_vibration(
     ratio, chosen = run.ratio, int(np.argmax(run.ratio_odds))
     best = float(run.ratio_odds[chosen])
     share = np.exp(run.ratio_odds - best)
-    ties = [
-        Tie(float(ratio[i] / ratio[chosen]), float(share[i]))
-        for i in np.argsort(-share, kind="stable")
-        if i != chosen and share[i] >= settings.vibration_tie
-    ]
+    rivals = (i for i in np.argsort(-share, kind="stable") if i != chosen and share[i] >= settings.vibration_tie)
+    ties = [Tie(float(ratio[i] / ratio[chosen]), float(share[i])) for i in rivals]
     # against the other fundamentals, and against no shaft at all
     others = float(share.sum()) + math.exp(-best)
     offsets = np.round(np.log(ratio) / evidence.step).astype(np.int64)
