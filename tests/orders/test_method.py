@@ -1,7 +1,6 @@
 """The choice of a method by the accuracy asked for, and whether it is reached."""
 
 import math
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -121,7 +120,7 @@ def test_an_angle_that_scatters_from_tooth_to_tooth_is_sampled_more_densely(scat
     frames = order_frames(band, scattered, settings=SETTINGS)
     assert ("as dense" in frames.attrs["method"]) == denser
     assert frames.attrs["achieved_error"] <= SETTINGS.tolerance
-    layout = replace(frame_layout(band, scattered, settings=asked(tolerance=1e-11)), max_order=20.0)
+    layout = frame_layout(band, scattered, settings=asked(tolerance=1e-11))._replace(max_order=20.0)
     samples = time_samples(band, tolerance=1e-11)
     truth = spectra(samples, scattered, layout, density=16)
     # the kernels are of different lengths, and so the frames begin a few samples apart: the same orders, other noise

@@ -128,7 +128,7 @@ def emptied(frame: xr.Dataset, flags: Sequence[QualityFlag]) -> xr.Dataset:
     if not names or "channel" not in frame.dims:
         return frame
     out = np.isin(frame["channel"].values.astype(str), names)
-    changed: dict[str, xr.DataArray] = {}
+    changed = {}
     for name, variable in frame.data_vars.items():
         if "channel" in variable.dims and variable.dtype.kind in "fc":
             values = variable.values.copy()
@@ -151,11 +151,8 @@ def short_recordings(lengths_s: Mapping[str, float]) -> list[QualityFlag]:
     if not usual > 0.0 or np.mean(alike) < LENGTHS.alike_recordings:
         return []
     beside = f"where the other recordings of the test last {usual:.3g} s: if it was not stopped early its file has lost"
-    return [
-        remark(name, "shorter_than_others", f"{length:.3g} s, {beside} its end")
-        for name, length in lengths_s.items()
-        if length < (1.0 - LENGTHS.shorter_share) * usual
-    ]
+    short = {name: length for name, length in lengths_s.items() if length < (1.0 - LENGTHS.shorter_share) * usual}
+    return [remark(name, "shorter_than_others", f"{length:.3g} s, {beside} its end") for name, length in short.items()]
 
 
 def fault_of(name: str, flags: Sequence[QualityFlag], *, strict: bool = False) -> InputError | None:
@@ -164,11 +161,11 @@ def fault_of(name: str, flags: Sequence[QualityFlag], *, strict: bool = False) -
     "bad" flags count, and "suspect" ones where ``strict``. A flag on a channel or stretch that was left out already
     counts only where ``strict``.
     """
-    doubts = [
-        f"{flag['flag']} ({flag['detail']})"
-        for flag in flags
-        if (flag["severity"] != "info" if strict else flag["severity"] == "bad" and "left_out" not in flag)
-    ]
+
+    def counts(flag: QualityFlag) -> bool:
+        return flag["severity"] != "info" if strict else flag["severity"] == "bad" and "left_out" not in flag
+
+    doubts = [f"{flag['flag']} ({flag['detail']})" for flag in flags if counts(flag)]
     if not doubts:
         return None
     problem = "refused by --strict" if strict else "left out of all averages"
@@ -196,8 +193,8 @@ def clock_drift(frames: xr.Dataset) -> QualityFlag | None:
     order, lines = _lines(frames)
     if len(order) < DRIFT.fewest_lines or len(np.unique(order)) < 2:
         return None
-    begin = frames["crank_angle"].values.astype(np.float64)
-    begin = begin - begin.mean()
+    angle = frames["crank_angle"].values.astype(np.float64)
+    begin = angle - angle.mean()
     coarse = _coarse(order, lines, begin)
     slope, error = _slopes(lines * np.exp(-2j * np.pi * coarse * np.outer(order, begin)), begin)
     weight = np.square(order / error)

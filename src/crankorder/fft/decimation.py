@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -46,8 +45,7 @@ PASS_SAMPLES = 65_536
 """Samples filtered at a time: they and what becomes of them stay in the second-level cache."""
 
 
-@dataclass(frozen=True)
-class DecimationStage:
+class DecimationStage(NamedTuple):
     """One FIR low-pass of symmetric ``taps`` (taps,), an odd number, that keeps every ``factor``-th sample."""
 
     factor: int
@@ -219,9 +217,8 @@ def channel_offsets(signals: NDArray[np.floating]) -> tuple[Floats, bool]:
             gaps = True
             pieces = [row[first : first + PASS_SAMPLES] for first in range(0, len(row), PASS_SAMPLES)]
             count = sum(int(np.isfinite(piece).sum()) for piece in pieces)
-            means[channel] = sum(
-                float(piece[np.isfinite(piece)].sum(dtype=np.float64) / count) for piece in pieces if count
-            )
+            sums = (float(piece[np.isfinite(piece)].sum(dtype=np.float64) / count) for piece in pieces if count)
+            means[channel] = sum(sums)
     return means, gaps
 
 

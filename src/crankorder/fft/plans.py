@@ -48,9 +48,8 @@ def _library(asked: str) -> Library:
     if asked not in ("", "fftw", "scipy"):
         raise RequestError("no such library", file=VARIABLE, found=asked, allowed="fftw, scipy, or not set")
     if asked == "fftw" and not there:
-        raise RequestError(
-            "pyfftw is not installed", file=VARIABLE, found=asked, remedy="pip install pyfftw, or unset it"
-        )
+        remedy = "pip install pyfftw, or unset it"
+        raise RequestError("pyfftw is not installed", file=VARIABLE, found=asked, remedy=remedy)
     return "fftw" if there and asked != "scipy" else "scipy"
 
 

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -143,8 +142,7 @@ FEWEST_SHARE = 0.5
 """A kernel needs more than this share of the length that Kaiser (1974) gives for a windowed sinc."""
 
 
-@dataclass(frozen=True)
-class Kernel:
+class Kernel(NamedTuple):
     """An interpolation kernel for values between samples.
 
     ``taps`` is the number of samples that enter a value. Content up to ``pass_band`` (share of the sample rate, above
@@ -197,9 +195,8 @@ def cheapest_kernel(tolerance: float, *, content: float, double: bool = True) ->
         return kernel_of(taps, pass_band=share, double=double)
     lower = f"content further below half of the sample rate, now at {share:g} of it"
     remedy = f"Allow {least:.1e}, or {lower}" + ("." if double else ", or give float64 samples.")
-    raise RequestError(
-        "no interpolation kernel is as accurate as asked", found=f"{tolerance:g}", allowed=f"{least:.1e}", remedy=remedy
-    )
+    problem = "no interpolation kernel is as accurate as asked"
+    raise RequestError(problem, found=f"{tolerance:g}", allowed=f"{least:.1e}", remedy=remedy)
 
 
 @lru_cache(maxsize=256)

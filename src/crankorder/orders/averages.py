@@ -6,8 +6,8 @@ are too few the bins beside a line help out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -49,8 +49,7 @@ NOISE_RATIO = 8.0
 """A bin that holds so many times the median of those beside is a line's, not noise: one in 250 of noise does."""
 
 
-@dataclass(frozen=True)
-class Contrasts:
+class Contrasts(NamedTuple):
     """Sums over frames in which a line of steady amplitude cancels, and what is known of them beforehand.
 
     ``rows`` (contrasts, frames) are scaled such that the mean of their squares is the noise power of the mean of the
@@ -322,8 +321,7 @@ def helped_by_beside(
     return np.where(few, mean, noise), np.where(few, total, own)
 
 
-@dataclass(frozen=True)
-class HeldSizes:
+class HeldSizes(NamedTuple):
     """Amplitudes of a line in the frames of one recording whose speed is held.
 
     ``row`` is its row of the map, ``sizes`` (channels, frames) the amplitudes. The line keeps no phase, so that each
@@ -338,8 +336,7 @@ class HeldSizes:
         return np.asarray(np.sqrt(np.maximum(np.square(self.sizes).mean(axis=1) - noise, 0.0)))
 
 
-@dataclass(frozen=True)
-class SizeRows:
+class SizeRows(NamedTuple):
     """Amplitudes of a line, each field (channels, rows): ``amplitude``, its standard ``error`` and ``dof``, interval.
 
     ``dof`` are the degrees of freedom of ``error``; ``low`` and ``high`` are the ends of the 95 % interval.

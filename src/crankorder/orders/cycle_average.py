@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.errors import InputError
 from crankorder.fft.transforms import counted
 from crankorder.fft.windows import power_of_two
 from crankorder.orders.intervals import one_phase_reference, phase_reference_of
-from crankorder.orders.method import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
+from crankorder.orders.method import (
+    MOST_CONTENT,
+    SignalsByAngle,
+    is_by_angle,
+    less_than_a_cycle,
+    rev_frequencies,
+    signals_by_angle,
+)
 from crankorder.quantities import (
     Bools,
     Floats,
@@ -59,8 +65,7 @@ CycleStatistics = dict[str, Floats]
 """Variables of SPREAD and n_cycles of one group of cycles: (channels, angles) and (channels,)."""
 
 
-@dataclass(frozen=True)
-class _Cycles:
+class _Cycles(NamedTuple):
     """Cycles of one recording on the grid of angles."""
 
     values: Floats  # (channels, cycles, angles), the first angle wherever the recording begins
@@ -104,12 +109,9 @@ def cycle_average(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSetting
         carried = min(float(band.attrs.get("band_hz", math.inf)), MOST_CONTENT * rate) * 60.0 / fastest
     highest = np.minimum(settings.max_order, carried)
     made = _dataset(parts, speed, excluded, highest, band, cycles.points_per_rev)
-    made.attrs = {
-        **{key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")},
-        **{key: band.attrs[key] for key in ("recording", "history", "quality") if key in band.attrs},
-        "max_order": settings.max_order,
-        "speed_bin_rpm": settings.speed_bin_rpm,
-    }
+    made.attrs = {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
+    made.attrs |= {key: band.attrs[key] for key in ("recording", "history", "quality") if key in band.attrs}
+    made.attrs |= {"max_order": settings.max_order, "speed_bin_rpm": settings.speed_bin_rpm}
     return with_flags(made, [*flags_of(shaft), *_gap_flags(made)])
 
 
@@ -121,12 +123,7 @@ def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cy
     evenly = signals_by_angle(band, shaft, max_order=FADED_AT * settings.max_order, tolerance=settings.tolerance)
     count = len(evenly.angle_rev) // (revs * evenly.samples_per_rev)
     if count == 0:
-        raise InputError(
-            "the recording holds less than one engine cycle",
-            file=band.attrs["recording"],
-            found=f"{len(evenly.angle_rev) / evenly.samples_per_rev:.2f} revolutions",
-            allowed=f"at least {revs}",
-        )
+        raise less_than_a_cycle(band, len(evenly.angle_rev) / evenly.samples_per_rev, revs)
     # points of the grid per revolution: enough for the highest order, and quick to transform
     points = next_fast_len(max(LEAST_POINTS_PER_REV, math.ceil(POINTS_PER_TURN * settings.max_order)), real=True)
     begin = float(evenly.angle_rev[0])
@@ -134,9 +131,8 @@ def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cy
     signals, usable = _sound(evenly, count * revs * evenly.samples_per_rev, settings.max_order)
     rates = (evenly.samples_per_rev, points)
     values = _on_grid(signals, rates, max_order=settings.max_order, advance_rev=first / points - begin)
-    whole: Bools = np.ones((len(signals), count), dtype=np.bool_)
-    if usable is not None:
-        whole = np.asarray(np.all(_cycles_of(usable, revs * evenly.samples_per_rev), axis=2))
+    sound = np.ones(signals.shape, dtype=np.bool_) if usable is None else usable
+    whole = np.asarray(np.all(_cycles_of(sound, revs * evenly.samples_per_rev), axis=2))
     if is_by_angle(band):
         speed = np.full(count, float(shaft["speed"].values.mean()))
     else:
@@ -242,19 +238,15 @@ def _dataset(
     over = ("channel", "speed", "cycle_angle")
     values = {name: np.stack([part[name] for part in parts], axis=1) for name in SPREAD}
     count = np.stack([part["n_cycles"] for part in parts], axis=1).astype(np.int64)
-    return xr.Dataset(
-        {
-            **{name: described(over, values[name], "see unit", text) for name, text in SPREAD.items()},
-            "n_cycles": described(over[:2], count, "1", "cycles averaged"),
-            "n_excluded": described(over[:2], excluded, "1", "cycles that a gap reaches"),
-            "highest_order": described("speed", highest, "1", "highest order that is held whole"),
-        },
-        coords={
-            **channel_coords(like),
-            "speed": described("speed", speed, "min-1", "mean speed of the cycles"),
-            "cycle_angle": described("cycle_angle", angle, "degree", "crank angle within the cycle"),
-        },
-    )
+    variables = {
+        **{name: described(over, values[name], "see unit", text) for name, text in SPREAD.items()},
+        "n_cycles": described(over[:2], count, "1", "cycles averaged"),
+        "n_excluded": described(over[:2], excluded, "1", "cycles that a gap reaches"),
+        "highest_order": described("speed", highest, "1", "highest order that is held whole"),
+    }
+    axes = {"speed": described("speed", speed, "min-1", "mean speed of the cycles")}
+    axes["cycle_angle"] = described("cycle_angle", angle, "degree", "crank angle within the cycle")
+    return xr.Dataset(variables, coords=channel_coords(like) | axes)
 
 
 def _gap_flags(made: xr.Dataset) -> list[QualityFlag]:
@@ -263,11 +255,9 @@ def _gap_flags(made: xr.Dataset) -> list[QualityFlag]:
     kept = made["n_cycles"].sum("speed").values
     recording, hold = str(made.attrs["recording"]), "cycles hold a gap and are not averaged"
     names = made["channel"].values
-    return [
-        remark(recording, "cycles_excluded", f"{name}: {n} of {n + rest} {hold}", "info" if rest else "bad")
-        for name, n, rest in zip(names, lost, kept, strict=True)
-        if n
-    ]
+    holed = [row for row in zip(names, lost, kept, strict=True) if row[1]]
+    said = [(f"{name}: {n} of {n + rest} {hold}", rest) for name, n, rest in holed]
+    return [remark(recording, "cycles_excluded", detail, "info" if rest else "bad") for detail, rest in said]
 
 
 def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
@@ -300,9 +290,8 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
         kept_speed.append(float(each @ weight / weight.sum()) if weight.sum() else float(each.mean()))
         excluded.append(sum(item["n_excluded"].values[:, row] for item, row in rows))
         highest.append(min(float(item["highest_order"].values[row]) for item, row in rows))
-        parts.append(
-            _joined([{name: item[name].values[:, row] for name in (*SPREAD, "n_cycles")} for item, row in rows])
-        )
+        told = ({name: item[name].values[:, row] for name in (*SPREAD, "n_cycles")} for item, row in rows)
+        parts.append(_joined(list(told)))
     revs = int(items[0].attrs["revs_per_cycle"])
     points = items[0].sizes["cycle_angle"] // revs
     made = _dataset(parts, np.array(kept_speed), np.stack(excluded, axis=1), np.array(highest), items[0], points)

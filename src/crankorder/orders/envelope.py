@@ -217,9 +217,8 @@ def _bands_and_pieces(
     if not len(speed) or not np.isfinite(speed).all() or not float(speed.max()) > 0.0:
         return (), [], "the speed is not known"
     rate, fastest_hz = float(recording.attrs["rate_hz"]), float(speed.max()) / 60.0
-    bands = band_tree(
-        settings.max_order * fastest_hz, HIGHEST_SHARE * rate, least_width_hz=settings.envelope_max_order * fastest_hz
-    )
+    low_hz, width_hz = settings.max_order * fastest_hz, settings.envelope_max_order * fastest_hz
+    bands = band_tree(low_hz, HIGHEST_SHARE * rate, least_width_hz=width_hz)
     if not bands:
         reason = f"at {rate:g} samples/s no band above order {settings.max_order:g} is wide enough for envelope orders "
         return (), [], f"{reason}up to {settings.envelope_max_order:g} at {60.0 * fastest_hz:.0f} min-1"
@@ -404,10 +403,8 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
         columns["band_low"].append(stacked("band_low", group).min(axis=0))
         columns["band_high"].append(stacked("band_high", group).max(axis=0))
         revs.append(min(int(used[k].variables["revs_per_frame"].values[0]) for k in group))
-    variables: Variables = {
-        name: (first.variables[name].dims, np.stack(values, axis=1), dict(first.variables[name].attrs))
-        for name, values in columns.items()
-    }
+    like = {name: (np.stack(values, axis=1), first.variables[name]) for name, values in columns.items()}
+    variables: Variables = {name: (one.dims, values, dict(one.attrs)) for name, (values, one) in like.items()}
     variables |= joined_looks([[used[k] for k in group] for group in groups])
     variables["revs_per_frame"] = (("speed",), np.array(revs), dict(first["revs_per_frame"].attrs))
     mean_speed = np.array([speed[group].mean() for group in groups])

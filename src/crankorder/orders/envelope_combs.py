@@ -135,8 +135,7 @@ def line_floor(power: NDArray[np.floating], order: Floats, n_independent: float)
     before = np.minimum(at.astype(np.int64), max(count - 2, 0))
     after = np.minimum(before + 1, count - 1)
     share = (at - before).astype(power.dtype)
-    made: Floats = middle[:, before] * (1.0 - share) + middle[:, after] * share
-    return made
+    return np.asarray(middle[:, before] * (1.0 - share) + middle[:, after] * share)
 
 
 class Comb(NamedTuple):
@@ -214,8 +213,7 @@ def look_nats(ratio: NDArray[np.floating], bins: Ints, *, count: float, floor_wo
     high = own.copy()
     high[:, 1:] = np.maximum(high[:, 1:], np.where(beside, own[:, :-1], 0.0))
     high[:, :-1] = np.maximum(high[:, :-1], np.where(beside, own[:, 1:], 0.0))
-    made: Floats = np.clip(high - math.log(NEAR_TRIALS), 0.0, MOST_NATS)
-    return made
+    return np.asarray(np.clip(high - math.log(NEAR_TRIALS), 0.0, MOST_NATS))
 
 
 @lru_cache(maxsize=512)
@@ -253,8 +251,7 @@ def comb_nats(nats: Floats, bins: Ints, comb: Comb, *, step: float, free: Bools)
         lines = counts[:, :n_sides].sum(axis=1).cumsum(axis=0)[kept]
         shown.append(np.where((lines >= LEAST_TEETH) & first, _fisher(total, lines), 0.0))
     best = np.max([nats_of_set.max(axis=1) for nats_of_set in shown], axis=0)
-    made: Floats = np.maximum(best - math.log(sum(nats_of_set.shape[1] for nats_of_set in shown)), 0.0)
-    return made
+    return np.asarray(np.maximum(best - math.log(sum(nats_of_set.shape[1] for nats_of_set in shown)), 0.0))
 
 
 def _fisher(total: Floats, lines: Ints) -> Floats:
@@ -266,8 +263,7 @@ def _fisher(total: Floats, lines: Ints) -> Floats:
     for k in range(1, int(lines.max(initial=1))):
         term = term * total / k
         series += np.where(k < lines, term, 0.0)
-    made: Floats = np.maximum(total - np.log(series), 0.0)
-    return made
+    return np.asarray(np.maximum(total - np.log(series), 0.0))
 
 
 def over_skirts(ratio: NDArray[np.floating]) -> Floats:
@@ -279,8 +275,7 @@ def over_skirts(ratio: NDArray[np.floating]) -> Floats:
     middle = middles(ratio[:, : pieces * SKIRT_BINS].reshape(len(ratio), pieces, SKIRT_BINS))
     high = np.repeat(np.maximum(middle, 1.0), SKIRT_BINS, axis=1)
     rest = ratio.shape[1] - high.shape[1]
-    made: Floats = ratio / np.pad(high, ((0, 0), (0, rest)), mode="edge")
-    return made
+    return np.asarray(ratio / np.pad(high, ((0, 0), (0, rest)), mode="edge"))
 
 
 def looks_of(combs: Combs, bands: Bands, *, order: Floats, looks: NDArray[np.float32]) -> Variables:

@@ -8,7 +8,7 @@ speeds of the test, where no order is near. What is left of the doubt is part of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -103,8 +103,7 @@ class OrderRows(NamedTuple):
         return OrderRows(*(np.where(hidden, none, values) for none, values in zip(nothing, self, strict=True)))
 
 
-@dataclass(frozen=True)
-class Stretch:
+class Stretch(NamedTuple):
     """Frames of one recording (OrderFrames ``item``) in one ``row`` of the map.
 
     Spectra are in the ``unit`` (channels,); ``beside`` (channels,) is the noise power of a phasor by the bins beside.
@@ -117,8 +116,7 @@ class Stretch:
     unit: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class PartedRow:
+class PartedRow(NamedTuple):
     """One ``row`` of an ``order`` separated from the lines beside it, each array (channels,) unless stated.
 
     ``value`` is the complex amplitude with the phase at angle 0, ``power`` that of the noise with ``freedom`` degrees
@@ -194,10 +192,10 @@ def parted_rows(
         part = _part(stretch, orders, fit, np.abs(off) + DOUBT * error)
         # a number that lines nearby may have moved parts nothing from them
         beats = part.beats and (bool(exact[0]) or not lines)
-        part = replace(part, lines=lines, doubt=part.doubt + most * stretch.unit, beats=beats)
+        part = part._replace(lines=lines, doubt=part.doubt + most * stretch.unit, beats=beats)
         parts.setdefault(stretch.row, []).append(part)
     wanders = bool(not exact[0] and exact[1:].all())
-    return [replace(_joined(of_row), wanders=wanders) for of_row in parts.values()]
+    return [_joined(of_row)._replace(wanders=wanders) for of_row in parts.values()]
 
 
 def _met(
@@ -318,9 +316,8 @@ def _apart(rows: OrderRows, parted: PartedRow) -> tuple[Floats, ...]:
     size = np.clip(np.where(agree | (not parted.lines), own, size), low, high)
     error = np.where(agree, parted.error, np.fmax(0.5 * (high - low) / Z95, error))
     has_phase, freedom = np.isfinite(phase), np.where(agree, parted.freedom, LARGEST_DOF)
-    phase, half = (
-        np.where(has_phase, np.where(agree, *pair), np.nan) for pair in ((own_phase, phase), (own_half, half))
-    )
+    pairs = ((own_phase, phase), (own_half, half))
+    phase, half = (np.where(has_phase, np.where(agree, *pair), np.nan) for pair in pairs)
     return size, phase, error, freedom, low, high, half
 
 
@@ -330,8 +327,7 @@ PADDED = 8
 """Points of the spectrum of a line between its bins."""
 
 
-@dataclass(frozen=True)
-class SteadyLine:
+class SteadyLine(NamedTuple):
     """A line Re(``amplitude`` exp(2πi ``frequency_hz`` t)), t [s] from the first sample; ``amplitude`` (channels,)."""
 
     frequency_hz: float
@@ -349,7 +345,7 @@ def without_steady_lines(
     """
     signals, rate = band["signal"].values, float(band.attrs["rate_hz"])
     time = float(band.attrs.get("start_s", 0.0)) + np.arange(signals.shape[1]) / rate
-    usable: Bools = np.asarray(sound_samples(band).all(axis=0))
+    usable = np.asarray(sound_samples(band).all(axis=0))
     if not usable.any():
         return band, ()
     seen = _Seen.of(np.where(usable, signals, 0.0), usable, rate, float(band.attrs.get("band_hz", 0.4 * rate)))
@@ -380,8 +376,7 @@ def steady_flag(recording: str, lines: tuple[SteadyLine, ...]) -> QualityFlag:
     return remark(recording, "steady_lines_taken_out", detail)
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
+class _Seen(NamedTuple):
     """Transform (channels, bins) of a recording, at ``rate_hz``; ``usable`` one sample in ``every``, ``band_hz``."""
 
     spectrum: Complexes
@@ -454,9 +449,8 @@ class _Seen:
         bend = before - 2.0 * here + after
         finer = 0.5 * (before - after) / bend if bend < 0.0 else 0.0  # top of the parabola through the three
         off = float(offset[best] + finer * (offset[1] - offset[0]))
-        amplitude = _steady_amplitude(
-            narrow * np.exp(-2j * np.pi * off * np.arange(narrow.shape[1]) * dt), window, clear
-        )
+        turned = narrow * np.exp(-2j * np.pi * off * np.arange(narrow.shape[1]) * dt)
+        amplitude = _steady_amplitude(turned, window, clear)
         return None if amplitude is None else SteadyLine(middle + off, amplitude)
 
     def _narrow(self, middle_hz: float) -> Complexes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -115,13 +114,13 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     order = np.arange(spectrum.shape[2]) / layout.revs
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
     frames = _dataset(band, shaft, layout, spectrum, speed, density)
+    predicted = layout.kernel.predicted_error if layout.kernel else 0.0
     frames.attrs |= {
         "largest_sweep": _largest_sweep(shaft, layout, speed),
         "swept": int(swept),
         "frame_length_by": "sweep" if layout.shortened else "settings",
         "tolerance": settings.tolerance,
-        "predicted_error": (layout.kernel.predicted_error if layout.kernel else 0.0)
-        + float(band.attrs.get("decimation_error", 0.0)),
+        "predicted_error": predicted + float(band.attrs.get("decimation_error", 0.0)),
         "achieved_error": achieved,
         **stated_errors(shaft, revs_per_frame=float(layout.revs)),
     }
@@ -131,16 +130,13 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
 def _no_whole_frame(band: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) -> InputError:
     """The error of a recording all of whose frames touch a gap, with the revolutions of its longest stretch."""
     edges = np.flatnonzero(np.diff(band["usable"].values.any(axis=0), prepend=False, append=False))
-    rate = (
-        band.attrs["samples_per_rev"] if is_by_angle(band) else band.attrs["rate_hz"] * 60.0 / np.nanmedian(speed_rpm)
-    )
+    attrs = band.attrs
+    rate = attrs["samples_per_rev"] if is_by_angle(band) else attrs["rate_hz"] * 60.0 / np.nanmedian(speed_rpm)
     revs = float(np.diff(edges)[::2].max(initial=0) / rate)
-    return InputError(
-        "each frame touches a gap, so that no order is told",
-        place="orders.revs_per_frame",
-        found=f"frames of {layout.revs} revolutions, up to {revs:.3g} between gaps",
-        remedy=f"State [orders] revs_per_frame = {max(2, 2 * int(revs / 4.0))} in a recipe, or close the gaps",
-    )
+    problem = "each frame touches a gap, so that no order is told"
+    found = f"frames of {layout.revs} revolutions, up to {revs:.3g} between gaps"
+    remedy = f"State [orders] revs_per_frame = {max(2, 2 * int(revs / 4.0))} in a recipe, or close the gaps"
+    return InputError(problem, place="orders.revs_per_frame", found=found, remedy=remedy)
 
 
 def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> xr.Dataset:
@@ -185,9 +181,7 @@ def _dataset(
     window = hann(layout.revs * 16)  # a Hann window's noise bandwidth is that of any length
     attrs = {
         "amplitude_scaling": "peak",
-        "phase_reference": shaft.attrs["phase_reference"],
-        "cycle_known": shaft.attrs["cycle_known"],
-        "revs_per_cycle": shaft.attrs["revs_per_cycle"],
+        **{key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")},
         "window": window.name,
         "enbw_bins": window.enbw_bins,
         "revs_per_frame": layout.revs,
@@ -195,16 +189,11 @@ def _dataset(
         "method": method,
     }
     dims, text = ("channel", "frame", "order"), "complex peak amplitude by order"
-    return xr.Dataset(
-        {"spectrum": described(dims, spectrum, "see unit", text)},
-        coords=unindexed(
-            **channel_coords(band),
-            order=("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-            speed=described("frame", speed, "min-1", "mean speed of the frame"),
-            crank_angle=described("frame", layout.begin_rev, "rev", "crank angle at the start"),
-        ),
-        attrs=kept | attrs,
-    )
+    variables = {"spectrum": described(dims, spectrum, "see unit", text)}
+    axes = {"order": ("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"})}
+    rows = {"speed": described("frame", speed, "min-1", "mean speed of the frame")}
+    rows["crank_angle"] = described("frame", layout.begin_rev, "rev", "crank angle at the start")
+    return xr.Dataset(variables, coords=unindexed(**channel_coords(band), **axes, **rows), attrs=kept | attrs)
 
 
 def _flags(
@@ -252,7 +241,7 @@ def spectra(samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, *, den
     assert kernel is not None
     for chunk, slowest_hz in _chunks(samples, shaft, layout, CHUNK_SAMPLES // density):
         per_rev = density * samples_per_rev_for(samples, kernel, slowest_hz=slowest_hz, max_order=layout.max_order)
-        part = replace(layout, begin_rev=layout.begin_rev[chunk])
+        part = layout._replace(begin_rev=layout.begin_rev[chunk])
         begin = part.begin_rev
         angle = begin[0] + np.arange(round((begin[-1] - begin[0] + layout.revs) * per_rev)) / per_rev
         values, usable = signals_at(samples, shaft, angle, kernel)
@@ -321,7 +310,7 @@ def achieved_error(
     if not whole.any():
         return math.nan
     frame = int(np.argmax(np.where(whole.any(axis=0), speed_rpm, -np.inf)))
-    one = replace(layout, begin_rev=layout.begin_rev[frame : frame + 1])
+    one = layout._replace(begin_rev=layout.begin_rev[frame : frame + 1])
     ends = np.append(one.begin_rev, one.begin_rev + layout.revs)
     place = (time_at(ends, **knots_of(shaft)) - samples.start_s) * samples.rate_hz
     room = min(place[0], samples.signals.shape[1] - 1 - place[1])
@@ -332,7 +321,7 @@ def achieved_error(
     low = max(0, math.floor(place[0]) - kernel.margin)
     piece = samples.signals[:, low : math.ceil(place[1]) + kernel.margin + 1].astype(np.float64)
     alone = TimeSamples(piece, samples.rate_hz, samples.start_s + low / samples.rate_hz, samples.content)
-    dense = spectra(alone, shaft, replace(one, kernel=kernel), density=DENSER * density)
+    dense = spectra(alone, shaft, one._replace(kernel=kernel), density=DENSER * density)
     carried = slice(math.floor(samples.content * samples.rate_hz * 60.0 / float(speed_rpm[frame]) * layout.revs) + 1)
     found, truth = spectrum[whole[:, frame], frame, carried], dense[whole[:, frame], 0, carried]
     largest = np.maximum(np.abs(truth).max(axis=1, keepdims=True), np.finfo(np.float64).tiny)

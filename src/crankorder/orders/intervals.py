@@ -142,10 +142,9 @@ def _rician_ends(ratio: Floats) -> tuple[Floats, Floats]:
     far = np.sqrt(np.maximum(ratio**2 - 0.5, 0.0))
     half = Z95 / np.sqrt(2.0)
     near = ratio < known[-1]
-    return (
-        np.where(near, np.interp(ratio, known, low), far - half),
-        np.where(near, np.interp(ratio, known, high), far + half),
-    )
+    ends = zip((low, high), (far - half, far + half), strict=True)
+    lower, upper = (np.where(near, np.interp(ratio, known, end), beyond) for end, beyond in ends)
+    return lower, upper
 
 
 @functools.cache
@@ -246,9 +245,8 @@ def between_recordings(spectrum: Complexes, owner: Ints, mean: Complexes) -> Bet
     squares = np.square(weights / total).sum(axis=0)
     share = np.divide(squares, 1.0 - squares, out=np.zeros_like(squares), where=squares < 1.0)
     recordings = np.count_nonzero(weights, axis=0).astype(np.float64)
-    return BetweenRecordings(
-        2.0 * np.sum(along, axis=0) / total, 2.0 * np.sum(across, axis=0) / total, recordings, share
-    )
+    power, turned = (2.0 * np.sum(part, axis=0) / total for part in (along, across))
+    return BetweenRecordings(power, turned, recordings, share)
 
 
 def wider_of(

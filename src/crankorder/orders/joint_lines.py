@@ -66,6 +66,9 @@ class Place(NamedTuple):
     turns: float = 0.0
 
 
+Spectrum = NDArray[np.complexfloating]
+
+
 @dataclass(frozen=True, eq=False)
 class HeldFrames:
     """Frames of a recording at one speed: ``spectrum`` (channels, frames, bins) of the orders ``axis`` (bins,).
@@ -74,7 +77,7 @@ class HeldFrames:
     their length; ``rpm`` the mean speed; ``channels`` names.
     """
 
-    spectrum: NDArray[np.complexfloating]
+    spectrum: Spectrum
     axis: Floats
     turn: Floats
     clock: PPoly
@@ -84,13 +87,7 @@ class HeldFrames:
 
     @classmethod
     def of(
-        cls,
-        spectrum: NDArray[np.complexfloating],
-        turn: Floats,
-        speed_rpm: Floats,
-        *,
-        revs: float,
-        channels: Sequence[str] = (),
+        cls, spectrum: Spectrum, turn: Floats, speed_rpm: Floats, *, revs: float, channels: Sequence[str] = ()
     ) -> HeldFrames:
         """Frames with the middles ``turn`` [rev], rising, at ``speed_rpm``; both (frames,), finite, one frame or more.
 
@@ -317,18 +314,15 @@ class JointLines:
         steps = np.concatenate([BESIDE_CYCLES, np.negative(BESIDE_CYCLES)]) / seconds
         beside = [Place(place.hertz + step, place.turns) for step in steps.tolist()]
         orders = [held.order_of(other) for other in beside]
-        clear = [
-            other
-            for other, order in zip(beside, orders, strict=True)
-            if band.holds(order) and np.abs(order - self.orders).min() * held.span_rev >= NUMBERS.apart_cycles
-        ]
+        apart = [np.abs(order - self.orders).min() * held.span_rev >= NUMBERS.apart_cycles for order in orders]
+        told = zip(beside, orders, apart, strict=True)
+        clear = [other for other, order, is_apart in told if is_apart and band.holds(order)]
         if len(clear) < FEWEST_BESIDE:
             return self.white, max(2.0 * (len(self.left) - len(self.places)) - float(self.free.sum()), 1.0)
         shapes = band.waves(clear)
         power = np.square(np.abs(shapes.conj().T @ self.left)) / np.square(np.abs(shapes)).sum(axis=0)[:, None]
-        return np.maximum(
-            power.mean(axis=0), np.square(LEAST_NOISE * np.abs(band.data)).mean(axis=0) + 1e-300
-        ), 2.0 * len(clear)
+        least = np.square(LEAST_NOISE * np.abs(band.data)).mean(axis=0) + 1e-300
+        return np.maximum(power.mean(axis=0), least), 2.0 * len(clear)
 
     @cached_property
     def number_covariance(self) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -23,7 +23,7 @@ from crankorder.orders.averages import (
     steepest_noise_beside,
 )
 from crankorder.orders.intervals import beyond_chance, phases_compare
-from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, remark, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, Variables, remark, with_flags
 from crankorder.shaft.speeds import Indices, held_speeds, speed_groups
 
 LEAST_WINDOW = 0.1
@@ -72,9 +72,8 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
     for item in used:
         if item.sizes["order"] > fewest:
             ends = f"orders from {item['order'].values[fewest]:g} to {item['order'].values[-1]:g} left out"
-            flags.append(
-                remark(item.attrs["recording"], "orders_cut", f"{ends}: another recording of the test ends there")
-            )
+            detail = f"{ends}: another recording of the test ends there"
+            flags.append(remark(item.attrs["recording"], "orders_cut", detail))
     return [item if item.sizes["order"] == fewest else item.isel(order=slice(fewest)) for item in used], flags
 
 
@@ -83,9 +82,8 @@ def _at_length(item: xr.Dataset, revs: int, *, by_sweep: bool) -> tuple[xr.Datas
     length = int(item.attrs["revs_per_frame"])
     if length > revs and length % revs == 0 and (cut := reframed(item, revs)) is not None:
         why = "the fastest sweep of the test asks for" if by_sweep else "most others have"
-        return cut, remark(
-            item.attrs["recording"], "frames_cut", f"frames of {length} revolutions are cut into {revs}, as {why}"
-        )
+        detail = f"frames of {length} revolutions are cut into {revs}, as {why}"
+        return cut, remark(item.attrs["recording"], "frames_cut", detail)
     if not by_sweep and NEARLY <= length / revs <= 1.0 / NEARLY and item.attrs["window"] == "hann":
         detail = f"frames of {length} revolutions are shown on the orders of {revs}, which most others have"
         return at_orders_of(item, revs), remark(item.attrs["recording"], "frames_on_common_orders", detail)
@@ -210,21 +208,15 @@ def _dataset(
     item: xr.Dataset, spectrum: Complexes, begin_rev: Floats, speed_rpm: Floats, revs: int, overlap: float = CUT_OVERLAP
 ) -> xr.Dataset:
     order = np.arange(spectrum.shape[2]) / revs
-    made = xr.Dataset(
-        {"spectrum": (("channel", "frame", "order"), spectrum, item["spectrum"].attrs)},
-        coords={name: item[name] for name in item.coords if item[name].dims == ("channel",)}
-        | {
-            "order": ("order", order, item["order"].attrs),
-            "speed": ("frame", speed_rpm, item["speed"].attrs),
-            "crank_angle": ("frame", begin_rev, item["crank_angle"].attrs),
-        },
-        attrs=item.attrs | {"revs_per_frame": revs, "overlap": overlap},
-    )
-    return with_flags(made, [])
+    variables = {"spectrum": (("channel", "frame", "order"), spectrum, item["spectrum"].attrs)}
+    axes = {"order": ("order", order), "speed": ("frame", speed_rpm), "crank_angle": ("frame", begin_rev)}
+    kept = {name: item[name] for name in item.coords if item[name].dims == ("channel",)}
+    known: Variables = {name: (*axis, item[name].attrs) for name, axis in axes.items()}
+    made = xr.Dataset(variables, coords=kept, attrs=item.attrs | {"revs_per_frame": revs, "overlap": overlap})
+    return with_flags(made.assign_coords(known), [])
 
 
-@dataclass(frozen=True)
-class Frames:
+class Frames(NamedTuple):
     """Frames to average: ``spectrum`` (channels, frames, orders); the other fields are (frames,).
 
     ``owner`` is the number of the recording, ``begin_rev`` the crank angle [rev] at which the frame begins,
@@ -241,8 +233,7 @@ class Frames:
         return Frames(self.spectrum[:, which], self.owner[which], self.begin_rev[which], self.speed_rpm[which])
 
 
-@dataclass(frozen=True)
-class AllFrames:
+class AllFrames(NamedTuple):
     """Frames of all recordings, whose spectra are joined only where a group needs those of several.
 
     ``spectra`` (channels, frames, orders) of each recording; ``owner``, ``begin_rev``, ``speed_rpm`` (frames,) of all
@@ -300,8 +291,7 @@ def _largest(spectrum: Complexes) -> Floats:
     return np.asarray(np.fmax(np.fmax.reduce(parts, axis=1), -np.fmin.reduce(parts, axis=1)), dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class Framing:
+class Framing(NamedTuple):
     """How frames lie and what their noise is told from.
 
     ``revs`` is their length, ``window`` its name; speeds that differ by over ``swept_rpm`` may change amplitudes.
@@ -325,8 +315,7 @@ class Framing:
         return contrasts(correlation, frames.speed_rpm if swept else None)
 
 
-@dataclass(frozen=True)
-class AtSpeed:
+class AtSpeed(NamedTuple):
     """What frames held at one speed show, each field (channels, orders).
 
     ``coherent`` is the complex mean of the frames, ``error`` its noise power, ``energy`` the mean power, ``noise`` the
@@ -342,8 +331,7 @@ class AtSpeed:
     freedom: Floats
 
 
-@dataclass(frozen=True)
-class LikeSpeedFrames:
+class LikeSpeedFrames(NamedTuple):
     """Frames of a test and the rows of like speed that they are averaged in.
 
     ``used`` are the OrderFrames taken, ``remarks`` say what was left out, ``every`` has their frames, ``framing`` how
@@ -363,10 +351,10 @@ class LikeSpeedFrames:
 
     def at_columns(self, columns: Ints) -> LikeSpeedFrames:
         """The frames at the orders numbered ``columns`` (chosen,), rising; their phases are taken to be shared."""
-        every = replace(self.every, spectra=[spectrum[:, :, columns] for spectrum in self.every.spectra])
+        every = self.every._replace(spectra=[spectrum[:, :, columns] for spectrum in self.every.spectra])
         beside = np.minimum(np.searchsorted(columns, self.framing.beside[columns]), len(columns) - 1)
         shared, worth = np.ones(len(columns), dtype=np.bool_), self.framing.worth[columns]
-        return replace(self, every=every, framing=replace(self.framing, with_phase=shared, beside=beside, worth=worth))
+        return self._replace(every=every, framing=self.framing._replace(with_phase=shared, beside=beside, worth=worth))
 
 
 def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> LikeSpeedFrames:
@@ -409,7 +397,7 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
 
 def _at_speed(frames: Frames, framing: Framing) -> AtSpeed:
     """What ``frames`` held at one speed show."""
-    shape, spectrum = replace(framing, swept_rpm=np.inf).contrasts_of(frames), frames.spectrum
+    shape, spectrum = framing._replace(swept_rpm=np.inf).contrasts_of(frames), frames.spectrum
     mean, energy = spectrum.mean(axis=1), np.square(np.abs(spectrum)).mean(axis=1)
     own = np.full(energy.shape, 0.5 * shape.dof)
     powers = np.full(energy.shape, shape.independent_powers)
@@ -429,12 +417,10 @@ def agree(first: AtSpeed, second: AtSpeed, *, with_phase: Bools) -> bool:
     chance = DIFFER_CHANCE / (2.0 * max(first.energy.size, 1))
     size = np.abs(first.coherent), np.abs(second.coherent)
     apart = np.where(with_phase, np.abs(first.coherent - second.coherent), np.abs(size[0] - size[1]))
-    locked = (apart**2 > (first.error + second.error) * beyond_chance(freedom, chance)) & (
-        apart > ALIKE_SHARE * np.maximum(*size)
-    )
+    beyond = beyond_chance(freedom, chance)
+    locked = (apart**2 > (first.error + second.error) * beyond) & (apart > ALIKE_SHARE * np.maximum(*size))
     root = np.sqrt(first.energy), np.sqrt(second.energy)
     shared = 2.0 * np.maximum(first.noise / first.powers, second.noise / second.powers)
-    louder = (np.square(root[0] - root[1]) > shared * beyond_chance(freedom, chance)) & (
-        np.abs(root[0] - root[1]) > ALIKE_SHARE * np.maximum(*root)
-    )
+    more = np.abs(root[0] - root[1])
+    louder = (np.square(more) > shared * beyond) & (more > ALIKE_SHARE * np.maximum(*root))
     return not bool((locked | louder).any())

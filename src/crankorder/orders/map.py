@@ -249,7 +249,7 @@ def intervals_of(whole: Average, grouped: LikeSpeedFrames, *, by_crank: bool = T
     low, high = ends_between((low, high), coherent, within=within, wider=(power, dof))
     if (whole.apart > 1).any():
         alone = energy_interval(coherent**2, noise=power, bias=noise * whole.bias, noise_variance=noise_only, dof=dof)
-        low, high = np.where(whole.apart > 1, alone[0], low), np.where(whole.apart > 1, alone[1], high)
+        low, high = np.where(whole.apart > 1, alone, (low, high))
     low = np.maximum(np.fmin(low, whole.least) - given, 0.0)
     high = np.fmax(high, whole.most) / angle.kept(order) + given
     missing = np.isnan(coherent)
@@ -269,7 +269,7 @@ def average_of(frames: Frames, framing: Framing) -> Average:
     together, and the channels of very many frames one by one.
     """
     if len(frames.spectrum) > 1 and frames.spectrum.size > MOST_VALUES:
-        each = (replace(frames, spectrum=channel[None]) for channel in frames.spectrum)
+        each = (frames._replace(spectrum=channel[None]) for channel in frames.spectrum)
         of_channels = [average_of(channel, framing) for channel in each]
         return Average(*(np.concatenate([getattr(of, field.name) for of in of_channels]) for field in fields(Average)))
     seen = np.isfinite(frames.spectrum.real)
@@ -284,7 +284,7 @@ def average_of(frames: Frames, framing: Framing) -> Average:
         if not pattern.any():
             continue
         part = Frames(np.ascontiguousarray(columns[at].T)[None], frames.owner, frames.begin_rev, frames.speed_rpm)
-        alone = replace(framing, with_phase=framing.with_phase[at % n_orders], beside=framing.beside[:0])
+        alone = framing._replace(with_phase=framing.with_phase[at % n_orders], beside=framing.beside[:0])
         mean = _average_whole(part.of(pattern), alone)
         for name, column in columns_of.items():
             column[at] = getattr(mean, name)[0]
@@ -374,18 +374,10 @@ def _spectral_kurtosis(power: Floats, energy: Floats, n: float) -> Floats:
 
 def _dataset(variables: Variables, grouped: LikeSpeedFrames, settings: OrderSettings) -> xr.Dataset:
     used, first = grouped.used, grouped.used[0]
-    result = xr.Dataset(
-        variables,
-        coords={
-            **channel_coords(first),
-            "order": (
-                "order",
-                first["order"].values,
-                {"units": "1", "long_name": "order", "order_reference": "crankshaft"},
-            ),
-            "speed": described("speed", grouped.speed_rpm, "min-1", "speed"),
-        },
-    )
+    words = {"units": "1", "long_name": "order", "order_reference": "crankshaft"}
+    axes = {"order": ("order", first["order"].values, words)}
+    speed = described("speed", grouped.speed_rpm, "min-1", "speed")
+    result = xr.Dataset(variables, coords={**channel_coords(first), **axes, "speed": speed})
     kept = ("window", "enbw_bins", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "revs_per_cycle")
     result.attrs = {key: first.attrs[key] for key in (*kept, "samples_per_rev") if key in first.attrs}
     result.attrs |= {"phase_reference": phase_reference_of(used), "speed_bin_rpm": settings.speed_bin_rpm}

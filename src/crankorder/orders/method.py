@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -48,8 +47,7 @@ MOST_CHANGED, UNUSUAL_RATE = 0.3, 3.0
 which the frame stands for no speed: a step."""
 
 
-@dataclass(frozen=True)
-class TimeSamples:
+class TimeSamples(NamedTuple):
     """``signals`` (channels, samples) at ``rate_hz`` from ``start_s`` on; ``content`` is the share of the rate in use.
 
     ``usable`` (channels, samples) is False within gaps and what filters spread of them; None where there are none.
@@ -68,7 +66,7 @@ class TimeSamples:
         ends = ((0, 0), (count, count))
         signals = np.pad(self.signals, ends, mode="reflect", reflect_type="odd")
         usable = None if self.usable is None else np.pad(self.usable, ends, mode="reflect")
-        return replace(self, signals=signals, usable=usable, start_s=self.start_s - count / self.rate_hz)
+        return self._replace(signals=signals, usable=usable, start_s=self.start_s - count / self.rate_hz)
 
 
 def time_samples(band: xr.Dataset, *, tolerance: float) -> TimeSamples:
@@ -101,6 +99,12 @@ class SignalsByAngle(NamedTuple):
 def is_by_angle(band: xr.Dataset) -> bool:
     """Whether the BandRecording ``band`` is (channel, crank_angle), not (channel, time)."""
     return bool(band.attrs["domain"] == "crank_angle")
+
+
+def less_than_a_cycle(band: xr.Dataset, revs: float, revs_per_cycle: int) -> InputError:
+    """The error of a BandRecording ``band`` (channel, time or crank_angle) of ``revs`` (under ``revs_per_cycle``)."""
+    problem, found = "the recording holds less than one engine cycle", f"{revs:.2f} revolutions"
+    return InputError(problem, file=band.attrs["recording"], found=found, allowed=f"at least {revs_per_cycle}")
 
 
 def kernel_for(samples: TimeSamples, tolerance: float) -> Kernel:
@@ -200,8 +204,7 @@ def signals_by_angle(band: xr.Dataset, shaft: xr.Dataset, *, max_order: float, t
     return SignalsByAngle(values, angle, samples_per_rev, usable)
 
 
-@dataclass(frozen=True)
-class FrameLayout:
+class FrameLayout(NamedTuple):
     """Where the frames of a recording lie: each ``revs`` long, beginning at ``begin_rev`` (frames,), in rev.
 
     ``kernel`` resamples them, None where they are taken as sampled; ``highest`` is the share of the sample rate up to
@@ -275,12 +278,7 @@ def frame_layout(
         assert kernel is not None
         (first, last), beyond = ends, kernel.margin
     if revs == 0:
-        raise InputError(
-            "the recording holds less than one engine cycle",
-            file=band.attrs["recording"],
-            found=f"{ends[1] - ends[0]:.2f} revolutions",
-            allowed=f"at least {cycle}",
-        )
+        raise less_than_a_cycle(band, ends[1] - ends[0], cycle)
     overlap = settings.overlap if wanted == asked else max(settings.overlap, SWEPT_OVERLAP)
     hop = max(1, round(revs * (1.0 - overlap)))
     count = math.floor((last - first - revs + ROUNDING_REV) / hop) + 1

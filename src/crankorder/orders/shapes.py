@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -127,12 +126,11 @@ def operating_shapes(
     else:
         origin = np.full(len(wanted), place_of(reference, names))
     estimates = np.full((len(ESTIMATES), len(names), len(grouped.groups), len(wanted)), np.nan)
-    for number, on in np.unique(np.stack([origin, on_bin])[:, held], axis=1).T:
+    for number, on in np.unique(np.stack([origin, on_bin])[:, held], axis=1).T.tolist():
         at = np.flatnonzero(held & (origin == number) & (on_bin == on))
-        if number == CRANK:
-            estimates[..., at] = _by_crank(grouped, nearest[at])
-        else:
-            estimates[..., at] = _by_channel(grouped, nearest[at], int(number), on_bin=bool(on))
+        columns, by_crank = nearest[at], number == CRANK
+        told = _by_crank(grouped, columns) if by_crank else _by_channel(grouped, columns, number, on_bin=bool(on))
+        estimates[..., at] = told
     # between bins the Hann window's loss is made up for: the line may lie up to half a bin off
     between = np.where(held & ~on_bin, off, 0.0)
     estimates[:3] /= np.sinc(between) / (1.0 - between * between)
@@ -155,10 +153,8 @@ def _strongest(grouped: LikeSpeedFrames, columns: Ints) -> Ints:
 def _by_crank(grouped: LikeSpeedFrames, columns: Ints) -> Floats:
     """ESTIMATES (…, channels, speeds, columns) at the orders numbered ``columns``, with phases from the crank."""
     whole = averaged(grouped)
-    share = np.divide(
-        np.square(np.abs(whole.coherent)), whole.energy, out=np.full(whole.energy.shape, np.nan),
-        where=whole.energy > 0.0,
-    )  # fmt: skip
+    power, none = np.square(np.abs(whole.coherent)), np.full(whole.energy.shape, np.nan)
+    share = np.divide(power, whole.energy, out=none, where=whole.energy > 0.0)
     spare = np.where(whole.powers >= LEAST_FRAMES, whole.powers - 1.0, np.nan)
     coherence = np.clip((whole.powers * share - 1.0) / spare, 0.0, 1.0)
     return _estimates(whole, intervals_of(whole, grouped), grouped.every.unit, coherence)[..., columns]
@@ -178,14 +174,14 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
         line = frames.spectrum[origin].copy()
         for number in np.unique(frames.owner) if on_bin else ():
             own = frames.owner == number
-            alone = replace(frames.of(own), spectrum=line[None, own])
+            alone = frames.of(own)._replace(spectrum=line[None, own])
             mean = average_of(alone, part.framing)
             seen = is_seen(np.abs(mean.coherent), mean.noise * mean.left, 2.0 * mean.own)
             line[own] = np.where(np.isfinite(line[own]) & seen, mean.coherent, line[own])
         size = np.abs(line)
         with np.errstate(invalid="ignore"):  # NaN stays
             unit = np.divide(line, size, out=np.ones_like(line), where=size != 0.0)
-        return replace(frames, spectrum=frames.spectrum * unit.conj())
+        return frames._replace(spectrum=frames.spectrum * unit.conj())
 
     def from_origin(frames: Frames) -> Frames:
         """What turns a channel and the origin alike turns no phase between them."""
@@ -194,7 +190,7 @@ def _by_channel(grouped: LikeSpeedFrames, columns: Ints, origin: int, *, on_bin:
         wander = spectrum[origin] - mean[origin]
         with np.errstate(invalid="ignore"):
             relative = np.divide(wander, mean[origin], out=np.zeros_like(wander), where=np.abs(mean[origin]) > 0.0)
-        return replace(frames, spectrum=spectrum - mean[:, None] * relative)
+        return frames._replace(spectrum=spectrum - mean[:, None] * relative)
 
     whole, between = averaged(part, turned), averaged(part, from_origin)
     values, phases = (intervals_of(each, part, by_crank=False) for each in (whole, between))
@@ -247,14 +243,10 @@ def _dataset(grouped: LikeSpeedFrames, orders: Floats, estimates: Floats, phase_
         ("n_frames", ("speed",), count, "1", "frames"),
         ("n_independent", ("speed",), independent, "1", "independent frames"),
     )
-    shapes = xr.Dataset(
-        {name: described(over, values, units, text) for name, over, values, units, text in variables},
-        coords={
-            **channel_coords(first),
-            "order": ("order", orders, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-            "speed": described("speed", grouped.speed_rpm, "min-1", "speed"),
-        },
-    )
+    words = {"units": "1", "long_name": "order", "order_reference": "crankshaft"}
+    axes = {"order": ("order", orders, words), "speed": described("speed", grouped.speed_rpm, "min-1", "speed")}
+    made = {name: described(over, values, units, text) for name, over, values, units, text in variables}
+    shapes = xr.Dataset(made, coords=channel_coords(first) | axes)
     kept = ("window", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "phase_reference")
     shapes.attrs = {key: first.attrs[key] for key in kept}
     shapes.attrs["phase_reference"] = phase_reference_of(grouped.used)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -125,8 +124,7 @@ _VARIABLES = (
 )
 
 
-@dataclass(frozen=True)
-class _Plan:
+class _Plan(NamedTuple):
     """What is followed: ``orders``, bandwidths [Hz] (orders, times) over the ``course``, and rows [s] of one part."""
 
     orders: Floats
@@ -144,8 +142,7 @@ _Part = tuple[_Plan, Complexes, Floats]
 """Plan, amplitudes and their standard errors (channels, orders, rows) of a part of a recording."""
 
 
-@dataclass(frozen=True)
-class NoiseSpectrum:
+class NoiseSpectrum(NamedTuple):
     """Spectrum ``power`` (channels, bins) of the noise between the orders of a whole recording.
 
     It is at ``frequency_hz`` (bins,), and NaN where there was an order at all times.
@@ -458,10 +455,8 @@ def _dataset(
     magnitude, power = np.abs(amplitude), 2.0 * np.square(error)
     half = phase_interval_deg(magnitude, power, known)
     given = (amplitude, error, known, *amplitude_interval(magnitude, power, known), half)
-    variables = {
-        name: described(("channel", "order", "frame"), values, units, text)
-        for (name, units, text), values in zip(_VARIABLES, given, strict=True)
-    }
+    dims, told = ("channel", "order", "frame"), zip(_VARIABLES, given, strict=True)
+    variables = {name: described(dims, values, units, text) for (name, units, text), values in told}
     coords = {**channel_coords(band), "order": described("order", orders, "1", "order")}
     attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
     attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
@@ -473,7 +468,7 @@ def _dataset(
         ("smoothing_more", joined([own for own, _ in beyond]), f"{more} took beyond that"),
         ("smoothing_error", joined([others for _, others in beyond]), f"{more} of other orders may have left here"),
     ):
-        tracks[name] = described(("channel", "order", "frame"), values, "see unit", text)
+        tracks[name] = described(dims, values, "see unit", text)
     usual_rate = float(np.median(course.rate_rpm_per_s[course.runs])) if course.runs.any() else 0.0
     tracks.attrs |= {"swept": 1, "sweep_rpm_per_s": usual_rate}
     angle_error = shaft["standard_error"].values

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -70,8 +71,7 @@ LAST_STEPS = 9
 """… and steps with the share that is allowed in the end."""
 
 
-@dataclass(frozen=True)
-class Swing:
+class Swing(NamedTuple):
     """Error of the crank angle that repeats ``harmonic`` times per revolution: ``size`` E_k [rev] and its certainty.
 
     ``error_rev`` is the standard error of each part of ``size``, ``bound_rev`` the value that |E_k| exceeds with a
@@ -178,8 +178,7 @@ def _moved(values: Floats, step: int) -> Floats:
     return np.where(source < n, values[..., np.minimum(source, n - 1)], 0.0)
 
 
-@dataclass(frozen=True)
-class Rows:
+class Rows(NamedTuple):
     """Complex amplitudes ``value`` (rows, half orders) and their ``noise`` power, of the same shape.
 
     A row is a channel in a recording, or in a frame of a sweep.
@@ -189,8 +188,7 @@ class Rows:
     noise: Floats
 
 
-@dataclass(frozen=True)
-class Expected:
+class Expected(NamedTuple):
     """What is assumed of an encoder before its frames are looked at: ``settings`` of orders, and errors of its teeth.
 
     ``tooth_level_rev`` is the root of the mean square amplitude [rev] that misplaced teeth give to each harmonic.
@@ -288,7 +286,7 @@ def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[comp
             reach = LIKELY * math.hypot(error, swing.error_rev, expected.settings.sideband_slack * abs(size))
             alike = abs(size) > LIKELY * error and abs(size - swing.size) < reach
             lacking = _lacking(rows, harmonic, taken, expected, size) if abs(size) > LIKELY * error else (0, 0)
-            swings[harmonic] = replace(swing, proved=swing.proved and alike, lacking=lacking)
+            swings[harmonic] = swing._replace(proved=swing.proved and alike, lacking=lacking)
             taken.pop(harmonic, None)
             # what is likely but not proved is taken out on trial: sidebands of sidebands hide others' proof
             if abs(swing.size) > LIKELY * swing.error_rev and abs(swing.size) <= expected.largest_rev(harmonic):
@@ -414,7 +412,7 @@ def unless_lines_lack(of: Mapping[str, tuple[Swing, ...]]) -> dict[str, tuple[Sw
     counts = np.array([[swing.lacking for swing in own] for own in of.values()]).reshape(len(of), -1, 2).sum(axis=0)
     spares = counts[:, 0] > MOST_LACKING * counts[:, 1]
     return {
-        name: tuple(replace(s, proved=s.proved and not no) for s, no in zip(own, spares.tolist(), strict=True))
+        name: tuple(s._replace(proved=s.proved and not no) for s, no in zip(own, spares.tolist(), strict=True))
         for name, own in of.items()
     }
 

@@ -249,9 +249,8 @@ class TrackReader:
         bins, worth = self._beside
         independent = self.order_map["n_independent"].values
         energy, share, held = self._energy(place, close)
-        leaked = np.nan_to_num(energy)[..., None] * np.square(
-            hann_lobe(np.arange(power.shape[-1], dtype=np.float64) - place)
-        )
+        lobe = hann_lobe(np.arange(power.shape[-1], dtype=np.float64) - place)
+        leaked = np.nan_to_num(energy)[..., None] * np.square(lobe)
         alone = np.maximum(power - leaked, LEAK_LEFT * leaked)
         noise = noise_beside(power, bins[nearest][None])[..., 0]
         noise, unknown = noise_under(noise, alone, np.sort(bins[nearest]), place, independent)
@@ -356,9 +355,8 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     more = item["smoothing_more"].values[:, place]  # a filter lowers a peak: what it may have taken is no doubt below
     high, power = high + Z95 * more, power + 2.0 * more**2
     angle = AngleErrors(item["angle_scatter"].values, item["angle_error"].values)
-    turned = value * np.exp(
-        2j * np.pi * ((float(item["order"].values[place]) - order) * item["crank_angle"].values % 1.0)
-    )
+    away = float(item["order"].values[place]) - order
+    turned = value * np.exp(2j * np.pi * (away * item["crank_angle"].values % 1.0))
     phase, half = np.degrees(np.angle(turned)), phase_interval_deg(magnitude, power, dof)
     high, half = high / angle.kept(np.asarray(order)), angle.phase_half_deg(half, np.asarray(order))
     if GIVEN in item:

@@ -6,7 +6,7 @@ What is not told apart, or left of it, travels with them (``angle_swing_left_rev
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -77,8 +77,7 @@ NAMES = {1: "eccentricity", 2: "ovality"}
 """What makes a swing so often per turn; the others are of uneven lines."""
 
 
-@dataclass(frozen=True, eq=False)
-class AngleErrors:
+class AngleErrors(NamedTuple):
     """Standard errors of the crank angle [rev] by row: ``random`` (rows,) within it, ``mean`` (rows,) of its mean."""
 
     random: Floats
@@ -203,8 +202,7 @@ def _errors(shaft: xr.Dataset, revs_per_frame: float) -> tuple[float, float]:
     return error, reference.pulse_error_rev / float(np.sqrt(reference.teeth_per_rev))
 
 
-@dataclass(frozen=True)
-class Swings:
+class Swings(NamedTuple):
     """Swings of the angle, those of each recording: ``of`` by its name; ``shared`` where all have one mark."""
 
     of: dict[str, tuple[Swing, ...]]

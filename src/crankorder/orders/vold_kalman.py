@@ -296,12 +296,10 @@ def vold_kalman(
     Source: Vold and Leuridan 1993; Tuma 2005; the restriction to splines as in Hutchinson and de Hoog 1985.
     """
     if float((bandwidth_hz.max(axis=0) / bandwidth_hz.min(axis=0)).max()) > WIDEST_RATIO:
-        raise RequestError(
-            "the bandwidths of orders tracked jointly differ too much",
-            found=f"{bandwidth_hz.min():g} and {bandwidth_hz.max():g} Hz",
-            allowed=f"up to 1 : {WIDEST_RATIO:g}",
-            remedy="track the narrow and the wide ones apart",
-        )
+        problem = "the bandwidths of orders tracked jointly differ too much"
+        found = f"{bandwidth_hz.min():g} and {bandwidth_hz.max():g} Hz"
+        allowed, remedy = f"up to 1 : {WIDEST_RATIO:g}", "track the narrow and the wide ones apart"
+        raise RequestError(problem, found=found, allowed=allowed, remedy=remedy)
     n_samples = signals.shape[1]
     width = np.maximum(bandwidth_hz, NARROWEST * rate_hz / n_samples)
     spacing = np.maximum(rate_hz / (knots_per_bandwidth * width.max(axis=0)), LEAST_SPACING)
@@ -323,14 +321,12 @@ def vold_kalman(
             magnification = np.inf
         if not magnification < MOST_MAGNIFICATION:
             pair, distance_hz = closest(phase_rev, bandwidth_hz, rate_hz=rate_hz, names=names)
-            raise RequestError(
-                f"{pair} cannot be told apart",
-                found=f"{distance_hz:.4g} Hz apart, bandwidth {bandwidth_hz.max():g} Hz, {n_samples / rate_hz:g} s; "
-                f"noise power times {magnification:.2g}",
-                allowed=f"a noise power up to {MOST_MAGNIFICATION:g} times that of each order alone",
-                remedy=f"ask for a bandwidth below {max(distance_hz, 1e-300):.2g} Hz, take a longer recording, "
-                "or fewer orders",
-            )
+            found = f"{distance_hz:.4g} Hz apart, bandwidth {bandwidth_hz.max():g} Hz, {n_samples / rate_hz:g} s"
+            found = f"{found}; noise power times {magnification:.2g}"
+            allowed = f"a noise power up to {MOST_MAGNIFICATION:g} times that of each order alone"
+            below = f"ask for a bandwidth below {max(distance_hz, 1e-300):.2g} Hz"
+            remedy = f"{below}, take a longer recording, or fewer orders"
+            raise RequestError(f"{pair} cannot be told apart", found=found, allowed=allowed, remedy=remedy)
         amplitude[chosen] = system.amplitude_at(values, place) / scale
         errors = standard_errors(*system.residual_sums(values, offset), variance, width, phase_rev, starts) / scale
         error[chosen] = [[np.interp(place, middles(starts), row) for row in of_channel] for of_channel in errors]

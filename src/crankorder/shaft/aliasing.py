@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +24,7 @@ ORDER_SHARE = 0.6
 MOST_PROPOSED = 400
 
 
-@dataclass(frozen=True)
-class AliasedLine:
+class AliasedLine(NamedTuple):
     """Where a line of ``frequency_hz`` shows: at ``shown_order`` (speeds,) at each of ``speed_rpm`` (speeds,).
 
     ``folds`` (speeds,) says whether it is folded there.
@@ -43,8 +42,7 @@ class AliasedLine:
         return f"{self.frequency_hz:g} Hz shows at order {orders}"
 
 
-@dataclass(frozen=True)
-class Alias:
+class Alias(NamedTuple):
     """Found lines that are folds of a fixed ``frequency_hz``.
 
     ``points`` (folds,) are the indices of these lines among the found ones, ``false_aliases`` how many such frequencies
@@ -80,14 +78,13 @@ def aliased_lines(
     shown_to_order : highest order that is looked at; a fold beyond it disturbs nobody
     """
     speed = np.asarray(speeds_rpm, dtype=np.float64)
-    lines = []
-    for frequency_hz in frequencies_hz:
+
+    def line_of(frequency_hz: float) -> AliasedLine:
         true = 60.0 * frequency_hz / speed
         shown = aliased_order(true, samples_per_rev)
-        lines.append(
-            AliasedLine(frequency_hz, speed, shown, (true > 0.5 * samples_per_rev) & (shown <= shown_to_order))
-        )
-    return [line for line in lines if line.folds.any()]
+        return AliasedLine(frequency_hz, speed, shown, (true > 0.5 * samples_per_rev) & (shown <= shown_to_order))
+
+    return [line for line in map(line_of, frequencies_hz) if line.folds.any()]
 
 
 def find_aliases(
@@ -127,8 +124,7 @@ def find_aliases(
     return sorted(folds, key=lambda fold: fold.frequency_hz)
 
 
-@dataclass(frozen=True)
-class _Track:
+class _Track(NamedTuple):
     """The lines of a test and what a fixed frequency would look like among them."""
 
     speed_rpm: Floats
@@ -197,7 +193,7 @@ def _unnamed(track: _Track, free: Bools, highest_hz: float) -> list[Alias]:
         alike = [hertz for hertz in same if abs(hertz - exact) > near_hz]
         best = track.fold(exact, free, tried=tried) or best
         if alike:
-            best = replace(best, evidence=f"{best.evidence}; {min(alike):.5g} Hz would fold alike")
+            best = best._replace(evidence=f"{best.evidence}; {min(alike):.5g} Hz would fold alike")
         folds.append(best)
         free[best.points] = False
     return folds

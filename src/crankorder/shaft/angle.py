@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +37,7 @@ SHORT_RUN = 12
 CARRIED_CUT_OFF = 0.05
 
 
-@dataclass(frozen=True)
-class AngleKnots:
+class AngleKnots(NamedTuple):
     """Knots of crank angle, each array (knots,): time [s], angle [rev], speed [rpm], standard error of the angle [rev].
 
     Between knots the angle is the cubic Hermite polynomial whose slopes are the speeds. ``cut_off_order`` is the order
@@ -382,8 +380,7 @@ RUNNING_SHARE, SLOWEST_RPM = 0.03, 20.0
 """Share of the highest speed, and speed, below which a shaft counts as standing."""
 
 
-@dataclass(frozen=True)
-class SpeedCourse:
+class SpeedCourse(NamedTuple):
     """Speed of a recording [rpm] at ``time_s``, its rate of change [rpm/s], whether the shaft turns; each (times,)."""
 
     time_s: Floats
@@ -494,12 +491,10 @@ def integrated_speed(
     at = np.unique(np.append(np.searchsorted(rising, np.arange(0.0, rising[-1], step)), speed.size - 1))
     at = at[np.append(True, np.diff(rising[at]) > 0.0)]
     if at.size < 5:
-        raise InputError(
-            "the shaft does not turn far enough to follow its speed",
-            found=f"{angle[-1]:.3g} revolutions",
-            allowed=f"{5 * step:g} revolutions or more",
-            remedy="Check the unit and source of the speed signal in run.toml",
-        )
+        problem = "the shaft does not turn far enough to follow its speed"
+        remedy = "Check the unit and source of the speed signal in run.toml"
+        allowed = f"{5 * step:g} revolutions or more"
+        raise InputError(problem, found=f"{angle[-1]:.3g} revolutions", allowed=allowed, remedy=remedy)
     time_s = at / rate_hz
     rate = np.gradient(rising[at], time_s)
     error = noise_rpm / 60.0 * np.sqrt(np.maximum(at, 1)) / rate_hz

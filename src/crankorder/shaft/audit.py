@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -33,8 +33,7 @@ HIDDEN_SHARE = 0.4
 DEEPEST_RAD = 1.8412
 
 
-@dataclass(frozen=True)
-class Modulation:
+class Modulation(NamedTuple):
     """Error of the crank angle from one ``cause``, and its effect on a line.
 
     ``random_rev`` is the standard deviation [rev] of its random part within a frame, ``tone_rev`` (tones,) are the
@@ -43,8 +42,8 @@ class Modulation:
 
     cause: str
     random_rev: float = 0.0
-    tone_order: Floats = field(default_factory=lambda: np.empty(0))
-    tone_rev: Floats = field(default_factory=lambda: np.empty(0))
+    tone_order: Floats = np.empty(0)
+    tone_rev: Floats = np.empty(0)
 
     def loss(self, order: Floats) -> Floats:
         """Share of its amplitude that a line at each ``order`` (orders,) loses, 0 to 1."""
@@ -58,8 +57,7 @@ class Modulation:
         return np.asarray(np.max(j1(np.minimum(depth, DEEPEST_RAD)), axis=1))
 
 
-@dataclass(frozen=True)
-class Reference:
+class Reference(NamedTuple):
     """A shaft angle seen as a sampler of motion.
 
     ``teeth_per_rev`` and ``revs_per_cycle`` are per crank revolution and per engine cycle, ``cut_off_order`` is that of
@@ -118,13 +116,8 @@ def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
         error_rev *= math.sqrt(min(1.0, revs_per_frame / revs))
     # the outermost knots lie a tooth beyond the pulses
     teeth = float(attrs.get("teeth_per_rev", ((n_pulses or error.size - 2) + 1) / revs))
-    return Reference(
-        teeth_per_rev=teeth if error.size > 2 else 0.0,
-        cut_off_order=float(attrs.get("cut_off_order", np.inf)),
-        edge_step_s=float(attrs.get("edge_step_s", 0.0)),
-        revs_per_cycle=int(attrs["revs_per_cycle"]),
-        error_rev=error_rev,
-    )
+    cut_off, step_s = float(attrs.get("cut_off_order", np.inf)), float(attrs.get("edge_step_s", 0.0))
+    return Reference(teeth if error.size > 2 else 0.0, cut_off, step_s, int(attrs["revs_per_cycle"]), error_rev)
 
 
 def pulse_noise(reference: Reference, *, revs_per_frame: float) -> Modulation:
@@ -197,8 +190,7 @@ def unseen_motion(reference: Reference, motion: Mapping[float, float]) -> Modula
 SOUGHT_ORDERS = np.geomspace(1e-2, 1e5, 2048)
 
 
-@dataclass(frozen=True)
-class ReferenceAudit:
+class ReferenceAudit(NamedTuple):
     """Effect of the errors of a crank angle on its orders.
 
     Up to ``highest_carried_order`` neither loss nor sideband is above the limit; it is NaN where the angle has no error
@@ -232,16 +224,15 @@ def reference_audit(
         return ReferenceAudit(math.nan, (), () if by_angle else (("reference_unproven", "info", detail),))
     seen = seen_motion(shaft, reference)
     percent = settings.reference_irregularity_percent
-    causes = (
-        pulse_noise(reference, revs_per_frame=revs_per_frame),
-        unseen_motion(reference, expected_motion(reference, seen, percent=percent)),
-    )
-    carried = _carried(causes, settings.reference_bias_limit)
+    unseen = unseen_motion(reference, expected_motion(reference, seen, percent=percent))
+    causes = (pulse_noise(reference, revs_per_frame=revs_per_frame), unseen)
+    limit = settings.reference_bias_limit
+    above = np.maximum(_loss(causes, SOUGHT_ORDERS), _sideband(causes, SOUGHT_ORDERS)) > limit
+    carried = float(SOUGHT_ORDERS[max(0, int(np.argmax(above)) - 1)]) if above.any() else math.inf
     told = "as the motion seen lets expect" if seen else f"if {percent:g} % of the speed swings at order 1"
-    remarks: tuple[Remark, ...] = ()
-    if order.size and order.max() > carried:
-        remarks = (_limits(causes, order.max(), carried, reference, told, settings.reference_bias_limit),)
-    return ReferenceAudit(highest_carried_order=carried, causes=causes, remarks=remarks)
+    top = order.max(initial=0.0)
+    limits = [_limits(causes, top, carried, reference, told, limit)] if top > carried else []
+    return ReferenceAudit(highest_carried_order=carried, causes=causes, remarks=tuple(limits))
 
 
 def _loss(causes: Sequence[Modulation], order: Floats) -> Floats:
@@ -250,12 +241,6 @@ def _loss(causes: Sequence[Modulation], order: Floats) -> Floats:
 
 def _sideband(causes: Sequence[Modulation], order: Floats) -> Floats:
     return np.asarray(np.max([cause.sideband(order) for cause in causes], axis=0))
-
-
-def _carried(causes: Sequence[Modulation], limit: float) -> float:
-    """Highest order up to which neither loss nor any sideband is above ``limit``; infinite where none is."""
-    above = np.maximum(_loss(causes, SOUGHT_ORDERS), _sideband(causes, SOUGHT_ORDERS)) > limit
-    return float(SOUGHT_ORDERS[max(0, int(np.argmax(above)) - 1)]) if above.any() else math.inf
 
 
 def _limits(

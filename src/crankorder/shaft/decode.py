@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -16,7 +16,6 @@ from crankorder.quantities import (
     Floats,
     QualityFlag,
     ShaftAngle,
-    Variables,
     check_dataset,
     described,
     with_flags,
@@ -64,17 +63,14 @@ def cam_mark(place_rev: Floats, time_s: Floats) -> tuple[float, list[Remark]]:
             "elsewhere: the cycle phase is not known"
         )
         return math.nan, [("cam_unclear", "suspect", detail)]
-    flags: list[Remark] = []
     extra = ~own
     extra[np.flatnonzero(own)[1:][np.diff(place[own]) < 1.0]] = True
-    if extra.any():
-        detail = f"{extra.sum()} cam marks out of place or doubled, left out, {listed_times(time_s[extra])}"
-        flags.append(("cam_extra", "suspect", detail))
     missing = np.maximum(0, np.round(np.diff(place[own]) / 2.0) - 1).astype(np.int64)
-    if missing.any():
-        detail = f"{missing.sum()} cam marks missing, after those {listed_times(time_s[own][:-1][missing > 0])}"
-        flags.append(("cam_lost", "suspect", detail))
-    return centre % 2.0, flags
+    told = (
+        ("cam_extra", f"{extra.sum()} cam marks out of place or doubled, left out,", time_s[extra]),
+        ("cam_lost", f"{missing.sum()} cam marks missing, after those", time_s[own][:-1][missing > 0]),
+    )
+    return centre % 2.0, [(name, "suspect", f"{what} {listed_times(at_s)}") for name, what, at_s in told if at_s.size]
 
 
 def firing_tdc(mark_rev: float, tdc_rev: float, cam_to_tdc_deg: float | None) -> tuple[float, list[Remark]]:
@@ -144,14 +140,9 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
             still = _dataset(recording, _at_constant_speed(recording, np.nan), "none", 0, [])
             still.attrs["has_shaft"] = 0
             return still
-    raise InputError(
-        "no encoder, so no crank angle",
-        file=name,
-        place="encoder.kind",
-        found=kind,
-        allowed=", ".join((*PULSE_KINDS, "speed", "constant", "vibration")),
-        remedy='Name the encoder, a speed channel or a constant speed_rpm in run.toml; a structure has cycle = "none"',
-    )
+    problem, kinds = "no encoder, so no crank angle", ", ".join((*PULSE_KINDS, "speed", "constant", "vibration"))
+    remedy = 'Name the encoder, a speed channel or a constant speed_rpm in run.toml; a structure has cycle = "none"'
+    raise InputError(problem, file=name, place="encoder.kind", found=kind, allowed=kinds, remedy=remedy)
 
 
 def flags_named(recording: str, remarks: Iterable[Remark]) -> list[QualityFlag]:
@@ -176,10 +167,8 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         except InputError:
             if len(parts) == 1 or part.stop - part.start == max(other.stop - other.start for other in parts):
                 raise
-            detail = (
-                f"the run from {pulse_s[part.start]:.6g} to {pulse_s[part.stop - 1]:.6g} s cannot be counted: left out"
-            )
-            left_out.append(("encoder_part_unused", "suspect", detail))
+            span = f"from {pulse_s[part.start]:.6g} to {pulse_s[part.stop - 1]:.6g} s"
+            left_out.append(("encoder_part_unused", "suspect", f"the run {span} cannot be counted: left out"))
             continue
         runs.append(run)
     knots = joined(runs, per_rev)
@@ -218,14 +207,9 @@ class _PulseRun(ShaftRun):
 def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part: slice, *, smooth: bool) -> _PulseRun:
     attrs, pulse_s = recording.attrs, recording.variables["pulse_time"].values[part].astype(np.float64, copy=False)
     stated, ratio = float(attrs.get("pulse_noise_s", 0.0)), float(attrs.get("ratio", 1.0))
+    marks, gaps = times_of(recording, "index_time"), attrs.get("gap_starts_s", ())
     teeth = number_teeth(
-        pulse_s,
-        wheel,
-        settings=settings,
-        index_time_s=times_of(recording, "index_time"),
-        ratio=ratio,
-        noise_s=stated,
-        gap_starts_s=attrs.get("gap_starts_s", ()),
+        pulse_s, wheel, settings=settings, index_time_s=marks, ratio=ratio, noise_s=stated, gap_starts_s=gaps
     )
     cycle = int(attrs["revs_per_cycle"])
     wrong = tooth_errors(teeth, ratio=ratio, revs_per_cycle=cycle, noise_s=stated, settings=settings)
@@ -240,7 +224,7 @@ def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part
     remarks = [*teeth.flags, *flags]
     if wrong is not None:
         left_rev = wrong.standard_error_rev / ratio
-        knots = replace(knots, standard_error_rev=np.hypot(knots.standard_error_rev, left_rev))
+        knots = knots._replace(standard_error_rev=np.hypot(knots.standard_error_rev, left_rev))
         remarks.append(tooth_remark(wrong, teeth.teeth_per_rev, ratio))
     if stated > 0.0 and knots.noise_s > JITTER_RATIO * stated:
         share = knots.noise_s / float(np.median(np.diff(teeth.time_s)))
@@ -249,7 +233,7 @@ def _from_run(recording: xr.Dataset, settings: ShaftSettings, wheel: Wheel, part
     remarks += undersampled(recording, teeth)
     period = int(attrs["revs_per_cycle"]) if cycle_known else 1
     turns = period * np.ceil((teeth.tooth[0] / teeth_per_rev - tdc) / period - 1e-9)
-    knots = replace(knots, angle_rev=knots.angle_rev - tdc - turns)
+    knots = knots._replace(angle_rev=knots.angle_rev - tdc - turns)
     known = stated_teeth(wrong, ratio=ratio, tdc_rev=tdc)
     ends_s = (float(teeth.time_s[0]), float(teeth.time_s[-1]))
     first, last = ((part.start or 0) + np.searchsorted(pulse_s, ends_s)).tolist()
@@ -284,10 +268,8 @@ def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> t
     attrs, flags = recording.attrs, list[Remark]()
     turns = 1.0 / float(attrs.get("ratio", 1.0))
     if np.isfinite(teeth.index_tooth) and abs(turns - round(turns)) > 1e-9:
-        detail = (
-            f"the encoder turns {1.0 / turns:g} times per crank revolution: its mark is at top dead centre only once"
-        )
-        flags.append(("index_not_on_crank", "suspect", detail))
+        often = f"the encoder turns {1.0 / turns:g} times per crank revolution"
+        flags.append(("index_not_on_crank", "suspect", f"{often}: its mark is at top dead centre only once"))
     tdc = teeth.index_tooth / teeth_per_rev + float(attrs.get("index_to_tdc_deg", 0.0)) / 360.0
     stated = "index_to_tdc_deg" in attrs
     # a mark on the camshaft itself, as of an encoder there
@@ -322,19 +304,16 @@ def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     if "speed_signal" not in recording.variables:
         problem = "the recording holds no speed signal"
         raise InputError(problem, place="encoder", remedy="Check the encoder's source in run.toml")
-    knots, flags = integrated_speed(
-        recording.variables["speed_signal"].values,
-        rate_hz=float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"])),
-        settings=settings,
-        start_s=float(recording.attrs.get("encoder_start_s", 0.0)),
-    )
+    rate_hz = float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"]))
+    signal, start_s = recording.variables["speed_signal"].values, float(recording.attrs.get("encoder_start_s", 0.0))
+    knots, flags = integrated_speed(signal, rate_hz=rate_hz, settings=settings, start_s=start_s)
     per_rev = 2.0 / settings.speed_lowpass_rev
     parts, stops = running_parts(knots.time_s, pulses_per_rev=per_rev, joined=True, lossless=True)
     runs = []
     for part in parts:
         time_s, angle_rev, error_rev = knots.time_s[part], knots.angle_rev[part], knots.standard_error_rev[part]
         speed_rpm = 60.0 * np.gradient(angle_rev, time_s)
-        run = replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)
+        run = AngleKnots(time_s, angle_rev, speed_rpm, error_rev, knots.cut_off_order, knots.noise_s)
         runs.append(ShaftRun(run, (float(time_s[0]), float(time_s[-1])), part.start, part.stop - 1, 0.0))
     flags += [remark for remark in stops if remark[0] == "standstill"]
     return _dataset(recording, joined(runs, per_rev), "none", 0, [*flags, _NO_PHASE])
@@ -346,13 +325,10 @@ def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngl
 
     attrs = recording.attrs
     expected = attrs.get("expected_rpm")
-    vibration = speed_from_vibration(
-        recording.variables["signal"].values,
-        float(attrs["rate_hz"]),
-        settings=settings,
-        expected_rpm=None if expected is None else (float(expected[0]), float(expected[1])),
-        order_weights=FOUR_STROKE_WEIGHTS if int(attrs["revs_per_cycle"]) == 2 else None,
-    )
+    rpm = None if expected is None else (float(expected[0]), float(expected[1]))
+    weights = FOUR_STROKE_WEIGHTS if int(attrs["revs_per_cycle"]) == 2 else None
+    signals, rate_hz = recording.variables["signal"].values, float(attrs["rate_hz"])
+    vibration = speed_from_vibration(signals, rate_hz, settings=settings, expected_rpm=rpm, order_weights=weights)
     return _dataset(recording, trusted_angle(vibration), "none", 0, [*vibration.remarks, _BY_VIBRATION])
 
 
@@ -387,26 +363,23 @@ def _dataset(
     """The ShaftAngle dataset, signed in its history."""
     name = str(recording.attrs["recording"])
     start_s = float(recording.attrs.get("start_s", 0.0))
-    columns: Variables = {
+    columns = {
         "time": described("knot", knots.time_s + start_s, "s", "time of the knot"),
         "crank_angle": described("knot", knots.angle_rev, "rev", "crank angle from top dead centre"),
         "speed": described("knot", knots.speed_rpm, "min-1", "crank speed"),
         "standard_error": described("knot", knots.standard_error_rev, "rev", "standard error of the crank angle"),
     }
     signed = f"shaft: {knots.time_s.size} knots from {n_pulses} pulses, angle 0 is {reference}"
-    shaft = xr.Dataset(
-        columns,
-        attrs={
-            "recording": name,
-            "phase_reference": reference,
-            "cycle_known": int(cycle_known or int(recording.attrs["revs_per_cycle"]) == 1),
-            "revs_per_cycle": int(recording.attrs["revs_per_cycle"]),
-            "n_pulses": n_pulses,
-            "domain": str(recording.attrs["domain"]),
-            "history": f"{recording.attrs.get('history', '')}\n{signed}".lstrip(),
-        },
-    )
-    shaft = with_flags(shaft, flags_named(name, remarks))
+    attrs = {
+        "recording": name,
+        "phase_reference": reference,
+        "cycle_known": int(cycle_known or int(recording.attrs["revs_per_cycle"]) == 1),
+        "revs_per_cycle": int(recording.attrs["revs_per_cycle"]),
+        "n_pulses": n_pulses,
+        "domain": str(recording.attrs["domain"]),
+        "history": f"{recording.attrs.get('history', '')}\n{signed}".lstrip(),
+    }
+    shaft = with_flags(xr.Dataset(columns, attrs=attrs), flags_named(name, remarks))
     check_dataset(shaft, "shaft_angle")
     return ShaftAngle(shaft)
 
@@ -428,7 +401,7 @@ def joined(runs: Sequence[ShaftRun], teeth_per_rev: float) -> AngleKnots:
         shift = knots.angle_rev[-1] + turned - own.angle_rev[0]
         if run.period_rev > 0.0:
             shift = run.period_rev * np.round(shift / run.period_rev)
-        laid = replace(own, angle_rev=own.angle_rev + float(shift))
+        laid = own._replace(angle_rev=own.angle_rev + float(shift))
         # a tooth too many counted at rest would let the angle go back
         behind = laid.angle_rev > knots.angle_rev[-1]
         knots = _stopped_between(knots, _of(laid, _columns(laid)[:, behind]))
@@ -461,13 +434,10 @@ def _stopped_between(one: AngleKnots, two: AngleKnots) -> AngleKnots:
     slow = (turned - 0.5 * slowing * float(fast.sum())) / (hole_s - slowing)
     covered = 0.5 * (fast + slow) * slowing
     error = max(one.standard_error_rev[-1], two.standard_error_rev[0], turned / np.sqrt(12.0))
-    between = [
-        [one.time_s[-1] + slowing, two.time_s[0] - slowing],
-        [one.angle_rev[-1] + covered[0], two.angle_rev[0] - covered[1]],
-        [60.0 * slow, 60.0 * slow],
-        [error, error],
-    ]
-    both = replace(one, cut_off_order=min(one.cut_off_order, two.cut_off_order), noise_s=max(one.noise_s, two.noise_s))
+    time_s = [one.time_s[-1] + slowing, two.time_s[0] - slowing]
+    angle_rev = [one.angle_rev[-1] + covered[0], two.angle_rev[0] - covered[1]]
+    between = [time_s, angle_rev, [60.0 * slow, 60.0 * slow], [error, error]]
+    both = one._replace(cut_off_order=min(one.cut_off_order, two.cut_off_order), noise_s=max(one.noise_s, two.noise_s))
     return _of(both, np.concatenate([_columns(one), between, _columns(two)], axis=1))
 
 
@@ -477,4 +447,4 @@ def _columns(knots: AngleKnots) -> Floats:
 
 def _of(knots: AngleKnots, columns: Floats) -> AngleKnots:
     time_s, angle_rev, speed_rpm, error_rev = columns
-    return replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)
+    return AngleKnots(time_s, angle_rev, speed_rpm, error_rev, knots.cut_off_order, knots.noise_s)

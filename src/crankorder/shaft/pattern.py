@@ -12,8 +12,8 @@ import difflib
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import accumulate, pairwise
+from typing import NamedTuple
 
 from crankorder.errors import RequestError
 
@@ -54,8 +54,7 @@ _ANGLES_DEG: dict[str, tuple[float, ...]] = {
 _EVEN = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 
 
-@dataclass(frozen=True)
-class ToothPattern:
+class ToothPattern(NamedTuple):
     """Teeth of one encoder revolution: their angles [deg] from tooth 1, by the name of the wheel."""
 
     name: str
@@ -101,14 +100,9 @@ def pattern_of(name: str) -> ToothPattern:
     if match is not None and 0 <= int(match[2] or 0) < int(match[1]) <= 100_000:
         teeth, missing = int(match[1]), int(match[2] or 0)
         return ToothPattern(key, tuple(360.0 * k / teeth for k in range(teeth - missing)))
-    close = difflib.get_close_matches(key, known_names(), n=1)
-    raise RequestError(
-        "unknown wheel",
-        place="encoder.pattern",
-        found=repr(name),
-        allowed=", ".join(["N", "N-k", *known_names()]),
-        remedy=f"Did you mean {close[0]!r}?" if close else "State tooth_angles_deg, the angle of each pulse",
-    )
+    close, allowed = difflib.get_close_matches(key, known_names(), n=1), ", ".join(["N", "N-k", *known_names()])
+    remedy = f"Did you mean {close[0]!r}?" if close else "State tooth_angles_deg, the angle of each pulse"
+    raise RequestError("unknown wheel", place="encoder.pattern", found=repr(name), allowed=allowed, remedy=remedy)
 
 
 def _of_runs(runs: Sequence[int]) -> tuple[float, ...]:

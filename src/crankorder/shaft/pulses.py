@@ -15,8 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -61,8 +60,7 @@ class NoPulsesError(InputError):
     """The trace holds no pulse: it is constant, not finite, or never crosses its own middle."""
 
 
-@dataclass(frozen=True)
-class Pulses:
+class Pulses(NamedTuple):
     """Pulses of a trace: ``time_s`` (pulses,) from its start, the standard deviation ``noise_s`` of one, and remarks.
 
     ``flags`` holds (flag, severity, detail): severity is "info", "suspect" or "bad".
@@ -70,7 +68,7 @@ class Pulses:
 
     time_s: Floats
     noise_s: float
-    flags: list[Remark] = field(default_factory=list)
+    flags: list[Remark]
 
 
 def find_pulses(
@@ -108,7 +106,9 @@ def find_pulses(
     if samples.ndim != 1 or samples.size < 2:
         raise InputError("the encoder trace has no samples", found=samples.shape, allowed="one axis, 2 samples or more")
     sign = 1.0 if edge == "rising" else -1.0
-    some, lowest = _some(samples), float(samples.min())
+    some, lowest = samples, float(samples.min())
+    if samples.size > LEVEL_SAMPLES:  # blocks of it: a stride could keep step with the pulses
+        some = samples[: samples.size // 64 * 64].reshape(64, -1)[:, : LEVEL_SAMPLES // 64].ravel()
     levels = _levels(some, lowest, float(samples.max()))
     low, high = sorted(sign * level for level in levels)
     if not levels[1] > levels[0]:
@@ -145,13 +145,9 @@ def find_pulses(
 
 
 def _no_pulses(edge: str, pulses_per_rev: int, found: str) -> NoPulsesError:
-    return NoPulsesError(
-        f"no {edge} encoder edge found",
-        place="encoder",
-        found=found,
-        allowed=f"{pulses_per_rev} pulses per revolution",
-        remedy="Check the encoder's cable, and its source, kind and edge in run.toml",
-    )
+    problem, allowed = f"no {edge} encoder edge found", f"{pulses_per_rev} pulses per revolution"
+    remedy = "Check the encoder's cable, and its source, kind and edge in run.toml"
+    return NoPulsesError(problem, place="encoder", found=found, allowed=allowed, remedy=remedy)
 
 
 def _spread(some: npt.NDArray[Any], low: float, high: float) -> float:
@@ -203,13 +199,6 @@ def _fired_square(trace, sign, middle, half):  # type: ignore[no-untyped-def]
             at = np.concatenate((at, at))  # as much room again
         at[n] = i
         n += 1
-
-
-def _some(samples: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Enough samples to find the levels of a trace: blocks, for a stride could keep step with the pulses."""
-    if samples.size <= LEVEL_SAMPLES:
-        return samples
-    return samples[: samples.size // 64 * 64].reshape(64, -1)[:, : LEVEL_SAMPLES // 64].ravel()
 
 
 def _mark_levels(samples: npt.NDArray[Any]) -> list[float]:
@@ -336,8 +325,7 @@ ONWARDS = 0.5
 QUANTUM_SAMPLES = 1 << 17
 
 
-@dataclass(frozen=True)
-class Position:
+class Position(NamedTuple):
     """``pulses`` made of a position, ``pulses_per_rev`` of them, and the times at which it passes whole turns.
 
     ``turn_s`` (turns,) are these times [s], ``cycle_s`` (cycles,) those [s] at which an angle of two turns starts anew,

@@ -117,12 +117,10 @@ def running_parts(
 
 def _turning_points(step: Floats) -> list[int]:
     """Intervals of a few pulses per revolution that are far longer than those beside, into which the shaft slows."""
-    longer = [
-        at
-        for at in range(LEAST_BESIDE, step.size - LEAST_BESIDE)
-        if step[at] > TURNING_RATIO * max(step[at - 1], step[at + 1]) and _stops_and_starts(step, at)
-    ]
-    return [at for at in longer if np.all(np.diff(step[max(0, at - BESIDE) : at]) > 0.0)]
+    inner = range(LEAST_BESIDE, step.size - LEAST_BESIDE)
+    longer = (at for at in inner if step[at] > TURNING_RATIO * max(step[at - 1], step[at + 1]))
+    turning = (at for at in longer if _stops_and_starts(step, at))
+    return [at for at in turning if np.all(np.diff(step[max(0, at - BESIDE) : at]) > 0.0)]
 
 
 def _beside(step: Floats, at: int) -> tuple[float, float]:

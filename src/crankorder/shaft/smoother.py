@@ -67,8 +67,7 @@ def _residual_moments(penalty: float) -> Floats:
     frequency = (np.arange(1024) + 0.5) / 2048.0
     kept = 1.0 - 1.0 / (1.0 + penalty * (2.0 * np.sin(np.pi * frequency)) ** 6)
     lags = np.arange(WHITE_LAGS + 1)[:, None]
-    moments: Floats = np.mean(kept**2 * np.cos(2.0 * np.pi * frequency * lags), axis=1)
-    return moments
+    return np.asarray(np.mean(kept**2 * np.cos(2.0 * np.pi * frequency * lags), axis=1))
 
 
 def cut_off_of(grid: Floats, weight: Floats, *, noise_s: float, floor: float, margin: float) -> tuple[float, float]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import PurePath
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -41,8 +41,7 @@ def speed_groups(speed_rpm: Floats, *, width_rpm: float, owner: Ints | None = No
     known = order[: np.count_nonzero(~np.isnan(speed_rpm))]
     held = [] if owner is None else held_speeds(speed_rpm, owner, width_rpm=width_rpm)
     swept = np.setdiff1d(known, np.concatenate([*held, np.empty(0, dtype=np.int64)]))
-    pieces: list[Indices] = [*held, *(k[None] for k in swept)]
-    pieces.sort(key=lambda piece: (float(speed_rpm[piece].min()), int(piece[0])))
+    pieces = sorted([*held, *swept[:, None]], key=lambda piece: (float(speed_rpm[piece].min()), int(piece[0])))
     groups: list[list[Indices]] = []
     limit = -np.inf
     for piece in pieces:
@@ -112,8 +111,7 @@ FEWEST_CYCLES = 2
 """Whole cycles of a recording from which on its swing is told."""
 
 
-@dataclass(frozen=True)
-class SpeedSwing:
+class SpeedSwing(NamedTuple):
     """Peak amplitudes [rpm] of a speed at ``orders`` (orders,) about its mean ``speed_rpm``, over ``cycles`` cycles.
 
     ``amplitude_rpm`` (orders,) is the root of the mean square over the whole cycles, differences between cycles
@@ -175,16 +173,15 @@ def speed_swings(
         for place in sorted(np.flatnonzero(sure).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
             order, amplitude_rpm = float(swing.orders[place]), float(swing.amplitude_rpm[place])
             off_deg = np.degrees(amplitude_rpm / swing.speed_rpm / order)
-            records.append(
-                SpeedSwingFinding(
-                    recording=printable(shaft.attrs["recording"]),
-                    speed_rpm=swing.speed_rpm,
-                    order=order,
-                    amplitude_rpm=amplitude_rpm,
-                    may_be_encoder=bool(off_deg <= encoder_deg.get(order, -np.inf)),
-                    steady_rpm=float(swing.steady_rpm[place]),
-                )
+            record = SpeedSwingFinding(
+                recording=printable(shaft.attrs["recording"]),
+                speed_rpm=swing.speed_rpm,
+                order=order,
+                amplitude_rpm=amplitude_rpm,
+                may_be_encoder=bool(off_deg <= encoder_deg.get(order, -np.inf)),
+                steady_rpm=float(swing.steady_rpm[place]),
             )
+            records.append(record)
     return tuple(records)
 
 
@@ -308,10 +305,8 @@ def trace_variables(shafts: Sequence[xr.Dataset]) -> Variables:
     traces = np.empty((len(_TRACES), len(shafts), KNOTS), dtype=np.float32)  # of thousands of recordings: held once
     for number, shaft in enumerate(shafts):
         traces[:, number] = speed_trace(shaft["time"].values, shaft["speed"].values)
-    return {
-        name: described(("recording", "knot"), traces[number], unit, text)
-        for number, (name, (unit, text)) in enumerate(_TRACES.items())
-    }
+    dims, rows = ("recording", "knot"), zip(_TRACES.items(), traces, strict=True)
+    return {name: described(dims, trace, unit, text) for (name, (unit, text)), trace in rows}
 
 
 def shaft_summary(shafts: Sequence[xr.Dataset]) -> xr.Dataset:
@@ -323,13 +318,12 @@ def shaft_summary(shafts: Sequence[xr.Dataset]) -> xr.Dataset:
     speeds, errors = ([shaft[name].values for shaft in shafts] for name in ("speed", "standard_error"))
     names = np.array([printable(shaft.attrs["recording"]) for shaft in shafts])
     pulses = np.array([float(shaft.attrs["n_pulses"]) for shaft in shafts])
-    variables: Variables = {
+    mean_error = described("recording", _known(np.mean, errors), "rev", "mean standard error of the crank angle")
+    variables = {
         "speed_mean": described("recording", _known(np.mean, speeds), "min-1", "mean speed"),
         "speed_min": described("recording", _known(np.min, speeds), "min-1", "lowest speed"),
         "speed_max": described("recording", _known(np.max, speeds), "min-1", "highest speed"),
-        "standard_error": described(
-            "recording", _known(np.mean, errors), "rev", "mean standard error of the crank angle"
-        ),
+        "standard_error": mean_error,
         "n_pulses": described("recording", pulses, "1", "encoder pulses used"),
     }
     coords = {"recording": described("recording", names, "1", "file name")}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,8 +45,7 @@ TOOTH_ORDER, TOOTH_DOUBT = "tooth_order", "tooth_doubt_rev"
 amplitude [rev] there up to which motion may be theirs."""
 
 
-@dataclass(frozen=True, eq=False)
-class ToothErrors:
+class ToothErrors(NamedTuple):
     """Errors of a wheel's teeth: ``line_error_rev`` (lines,), true place less ideal place, in encoder revolutions.
 
     Line 0 is tooth number 0. ``rms_share`` is their root mean square over the pitch; ``level_rev`` the root of the mean
@@ -108,7 +107,7 @@ def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedT
     for _ in range(SPEED_ROUNDS):
         tooth_s = (moved[after] - moved[before]) / (tooth[after] - tooth[before])
         moved = time_s - errors.line_error_rev[tooth % lines] * lines * tooth_s
-    return replace(teeth, time_s=moved) if (np.diff(moved) > 0.0).all() else teeth
+    return teeth._replace(time_s=moved) if (np.diff(moved) > 0.0).all() else teeth
 
 
 def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
@@ -178,11 +177,10 @@ def _errors_in(pattern: LinePattern, ratio: float, least_share: float, *, engine
     # where a shaft swings at one low order it may at all of them: sidebands tell how much of these is the teeth's
     kept = stands | (low & bool(swings))
     own = np.where(kept | (harmonic == 0), 0.0, pattern.harmonic_rev)
-    error: Floats = np.fft.irfft(own * (lines / 2.0), lines)
     left = float(np.sum(kept)) * level + float(np.sum(power[low & ~kept]))
     left += float(np.sum(pattern.harmonic_variance[1:]))
     return ToothErrors(
-        line_error_rev=error,
+        line_error_rev=np.fft.irfft(own * (lines / 2.0), lines),
         rms_share=rms * lines,
         level_rev=math.sqrt(level),
         kept=tuple(np.flatnonzero(kept).tolist()),
@@ -236,8 +234,7 @@ LOW_ORDERS, LEAST_GAIN = 24, 0.005
 SPEED_ROUNDS = 2
 
 
-@dataclass(frozen=True, eq=False)
-class LinePattern:
+class LinePattern(NamedTuple):
     """Mean deviation [rev] of each of the ``lines`` of one recording from its place line / lines in even rotation.
 
     Line 0 is tooth number 0; lines that the wheel does not have are filled in from their neighbours. ``harmonic_rev``
@@ -342,8 +339,8 @@ def _revolution_mean(value: Floats, lines: int) -> Floats:
     if value.size <= lines:
         return np.empty(max(0, value.size - 2 * (lines // 2)))
     total = np.concatenate([np.zeros(1), np.cumsum(value)])
-    over: Floats = (total[lines:] - total[:-lines]) / lines
-    return over if lines % 2 else 0.5 * (over[:-1] + over[1:])
+    over = (total[lines:] - total[:-lines]) / lines
+    return np.asarray(over if lines % 2 else 0.5 * (over[:-1] + over[1:]))
 
 
 def _fill(by_period: Floats, present: Bools) -> None:

@@ -11,7 +11,7 @@ Simple ratios of a run of speeds are compared along its angle, in order spectra 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -44,8 +44,7 @@ MOST_KNOTS = 20_000
 FRAMES_AT_ONCE = 256
 
 
-@dataclass(frozen=True)
-class SpeedEvidence:
+class SpeedEvidence(NamedTuple):
     """``log_odds`` (knots, speeds) of a comb of orders against none, at ``time_s`` (knots,) and ``speed_hz`` (speeds,).
 
     The height of a line counts over the noise next to it. ``frames_per_knot`` is the number of independent frames that
@@ -110,8 +109,7 @@ def _between(time_s: Floats, frame_s: Floats, values: Floats) -> Floats:
         return np.repeat(values, time_s.size, axis=-1)
     k = np.clip(np.searchsorted(frame_s, time_s) - 1, 0, frame_s.size - 2)
     share = np.clip((time_s - frame_s[k]) / (frame_s[k + 1] - frame_s[k]), 0.0, 1.0)
-    between: Floats = (1.0 - share) * values[..., k] + share * values[..., k + 1]
-    return between
+    return np.asarray((1.0 - share) * values[..., k] + share * values[..., k + 1])
 
 
 class _Frames:
@@ -150,8 +148,7 @@ class _Frames:
             source = values_at(self._padded, (centre[:, None] + offset).ravel())
             starts = frame_starts(source.shape[1], self.n_frame, self.n_frame)
         spectra = self._transform.spectra(source, starts)
-        power: Floats = spectra.real**2 + spectra.imag**2
-        return power
+        return np.asarray(spectra.real**2 + spectra.imag**2)
 
 
 def _log_odds(frames: _Frames, speed_hz: Floats, order: Floats, weight: Floats, slew_per_s: float) -> Floats:
@@ -194,8 +191,7 @@ def _odds_table() -> Floats:
     """
     over_floor = np.maximum((np.arange(16 * ODDS_STEPS) + 0.5) / ODDS_STEPS, 1e-9)
     line = -np.expm1(-over_floor) / (over_floor * math.log(HIGHEST_LINE))
-    odds: Floats = line / ((1.0 - STRAY_SHARE) * np.exp(-over_floor) + STRAY_SHARE * line)
-    return odds
+    return np.asarray(line / ((1.0 - STRAY_SHARE) * np.exp(-over_floor) + STRAY_SHARE * line))
 
 
 ODDS_STEPS = 64

@@ -12,7 +12,8 @@ short change of speed by as much. Where the speed is steady otherwise, it was no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +36,7 @@ NEIGHBOURS, FEW_TEETH = 2, 6
 JITTER = 0.35
 
 
-@dataclass(frozen=True)
-class FoundPattern:
+class FoundPattern(NamedTuple):
     """The wheel that was found, over how many revolutions, and the share of these that show it without a fault.
 
     ``by_index`` says whether an index told the revolution; without it the wheel may show its pattern several times.
@@ -65,7 +65,10 @@ def find_pattern(time_s: Floats, *, index_time_s: Floats | None = None) -> Found
     """
     if time_s.size < 3 or not np.all(np.diff(time_s) > 0.0):
         return None
-    block = _fastest(time_s)
+    # the block of pulses with the shortest intervals: there the speed is steadiest
+    starts = range(0, max(1, time_s.size - BLOCK_PULSES + 1), BLOCK_PULSES // 2)
+    first = min(starts, key=lambda at: float(np.median(np.diff(time_s[at : at + BLOCK_PULSES]))))
+    block = time_s[first : first + BLOCK_PULSES]
     between = np.empty(0, dtype=np.int64)
     if index_time_s is not None and index_time_s.size >= 3:
         marks = index_time_s[(index_time_s > time_s[0]) & (index_time_s < time_s[-1])]
@@ -78,8 +81,10 @@ def find_pattern(time_s: Floats, *, index_time_s: Floats | None = None) -> Found
     if pattern is None:
         alike = float(np.mean(np.abs(between - per_index) <= 1)) if per_index else 0.0
         return FoundPattern(pattern_of(f"{per_index}"), between.size, alike, True) if per_index else None
-    if per_index and per_index % teeth == 0:
-        pattern = _repeated(pattern, per_index // teeth)
+    if per_index > teeth and per_index % teeth == 0:
+        times = per_index // teeth
+        angles = tuple((angle + 360.0 * turn) / times for turn in range(times) for angle in pattern.angles_deg)
+        pattern = ToothPattern(f"{pattern.name}, {times} times", angles)
     places = np.array(pattern.angles_deg) / 360.0
     widest = float(np.diff(places, append=1.0).max() * places.size)
     (part, *_), _ = running_parts(time_s, pulses_per_rev=places.size, gap=widest)
@@ -90,13 +95,6 @@ def find_pattern(time_s: Floats, *, index_time_s: Floats | None = None) -> Found
     agreement = 1.0 - np.unique(turn[holes]).size / revs
     by_index = per_index == places.size
     return FoundPattern(pattern, revs, agreement, by_index) if agreement >= 0.5 else None
-
-
-def _fastest(time_s: Floats) -> Floats:
-    """The block of pulses with the shortest intervals: there the speed is steadiest."""
-    starts = range(0, max(1, time_s.size - BLOCK_PULSES + 1), BLOCK_PULSES // 2)
-    first = min(starts, key=lambda at: float(np.median(np.diff(time_s[at : at + BLOCK_PULSES]))))
-    return time_s[first : first + BLOCK_PULSES]
 
 
 def _repeating(time_s: Floats) -> int:
@@ -124,7 +122,12 @@ def _repeats(value: Floats, teeth: int) -> bool:
 
 def _pattern(time_s: Floats, teeth: int) -> ToothPattern | None:
     """The wheel of ``teeth`` teeth in the mean revolution of the train, from the tooth behind its widest gap."""
-    step = _undisturbed(np.diff(time_s), teeth)
+    step = np.diff(time_s)
+    # the longest stretch of intervals in which each is like the one a revolution later
+    odd = np.flatnonzero(np.abs(np.log(step[teeth:] / step[:-teeth])) > np.log(UNEVEN_RATIO))
+    edges = np.concatenate(([-1], odd, [step.size - teeth]))
+    longest = int(np.argmax(np.diff(edges)))
+    step = step[edges[longest] + 1 : edges[longest + 1] + teeth]
     revs = step.size // teeth
     if revs == 0:
         return None
@@ -145,22 +148,13 @@ def _pattern(time_s: Floats, teeth: int) -> ToothPattern | None:
     return ToothPattern("unnamed", tuple(float(angle) for angle in np.round(angles, 1)))
 
 
-def _undisturbed(step: Floats, teeth: int) -> Floats:
-    """The longest stretch of intervals in which each is like the one a revolution later."""
-    odd = np.flatnonzero(np.abs(np.log(step[teeth:] / step[:-teeth])) > np.log(UNEVEN_RATIO))
-    edges = np.concatenate(([-1], odd, [step.size - teeth]))
-    longest = int(np.argmax(np.diff(edges)))
-    return step[edges[longest] + 1 : edges[longest + 1] + teeth]
-
-
 def _usual(share: Floats) -> Floats:
     """Usual length of the intervals around each one; the shortest of all on a wheel of few teeth."""
     if share.size <= FEW_TEETH:
         return np.full(share.size, share.min())
     around = NEIGHBOURS + 1
     padded = np.concatenate([share[-around:], share, share[:around]])
-    usual: Floats = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1), axis=1)
-    return usual
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1), axis=1))
 
 
 def _whole_teeth(share: Floats) -> Floats | None:
@@ -198,14 +192,6 @@ def _named_scatter(share: Floats, name: str) -> float:
     return min(_scatter(share, np.roll(own, at)) for at in range(own.size))
 
 
-def _repeated(pattern: ToothPattern, times: int) -> ToothPattern:
-    """The wheel that shows ``pattern`` so many times per revolution."""
-    if times == 1:
-        return pattern
-    angles = tuple((angle + 360.0 * turn) / times for turn in range(times) for angle in pattern.angles_deg)
-    return ToothPattern(f"{pattern.name}, {times} times", angles)
-
-
 # A gap that is longer than a tooth by less than this share of what is missing there is none.
 ABSENT_SHARE = 0.25
 # A tooth beside a gap that sits this share of a tooth off the line of its neighbours says nothing of the angle.
@@ -214,8 +200,7 @@ DISPLACED_SHARE = 0.05
 DISPLACED_RATIO = 4.0
 
 
-@dataclass(frozen=True)
-class Wheel:
+class Wheel(NamedTuple):
     """Teeth on an even grid of ``grid`` steps per revolution.
 
     ``places`` (teeth,) are the steps at which they stand, rising, ``offsets`` (teeth,), or (1,) for all alike, their

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -123,16 +123,14 @@ SELDOM = 0.01
 """Share of the time up to which a doubtful speed, as at the very ends, is not worth a word."""
 
 
-@dataclass(frozen=True)
-class Tie:
+class Tie(NamedTuple):
     """Another fundamental, ``ratio`` times the found one, and its odds as a share of the found one's (0…1)."""
 
     ratio: float
     relative_evidence: float
 
 
-@dataclass(frozen=True)
-class VibrationSpeed:
+class VibrationSpeed(NamedTuple):
     """Crank angle and speed on ``knots``, as the vibration tells them.
 
     ``confidence`` (knots,), 0 to 1, is the probability, by the model of lines and noise, that the true speed is within
@@ -199,11 +197,8 @@ def speed_from_vibration(
     ratio, chosen = run.ratio, int(np.argmax(run.ratio_odds))
     best = float(run.ratio_odds[chosen])
     share = np.exp(run.ratio_odds - best)
-    ties = [
-        Tie(float(ratio[i] / ratio[chosen]), float(share[i]))
-        for i in np.argsort(-share, kind="stable")
-        if i != chosen and share[i] >= settings.vibration_tie
-    ]
+    rivals = (i for i in np.argsort(-share, kind="stable") if i != chosen and share[i] >= settings.vibration_tie)
+    ties = [Tie(float(ratio[i] / ratio[chosen]), float(share[i])) for i in rivals]
     # against the other fundamentals, and against no shaft at all
     others = float(share.sum()) + math.exp(-best)
     offsets = np.round(np.log(ratio) / evidence.step).astype(np.int64)
@@ -211,7 +206,7 @@ def speed_from_vibration(
     confidence = run_probability(odds, run.path, offsets, *transition, near_states) / others
     knots, times = run.knots, float(ratio[chosen])
     if times != 1.0:
-        scaled = replace(knots, angle_rev=times * knots.angle_rev, speed_rpm=times * knots.speed_rpm)
+        scaled = knots._replace(angle_rev=times * knots.angle_rev, speed_rpm=times * knots.speed_rpm)
         knots = phase_corrected(signals, rate_hz, scaled, order)
     confidence = np.interp(knots.time_s, evidence.time_s, confidence)
     remarks = _doubts(knots.time_s, confidence, ties)
@@ -225,12 +220,10 @@ def trusted_angle(speed: VibrationSpeed) -> AngleKnots:
     """
     guessed = float(np.mean(speed.confidence < GUESSED))
     if guessed > 0.5:
-        raise InputError(
-            "the vibration does not tell the speed",
-            place="encoder.kind",
-            found=f"less than {GUESSED:.0%} sure for {guessed:.0%} of the time",
-            remedy="Narrow the range of speeds, name the orders that the machine shows, or give a speed or an encoder",
-        )
+        problem = "the vibration does not tell the speed"
+        found = f"less than {GUESSED:.0%} sure for {guessed:.0%} of the time"
+        remedy = "Narrow the range of speeds, name the orders that the machine shows, or give a speed or an encoder"
+        raise InputError(problem, place="encoder.kind", found=found, remedy=remedy)
     return speed.knots
 
 
@@ -238,9 +231,8 @@ def _possible_ratios(speed_hz: Floats, range_hz: tuple[float, float]) -> Floats:
     """1 and those of TIE_RATIOS that keep nearly all of the speeds in the range."""
     low, high = np.quantile(speed_hz, [0.05, 0.95])
     slack = 1.0 + SAME_SPEED
-    return np.array(
-        [1.0, *(r for r in TIE_RATIOS if r * low * slack >= range_hz[0] and r * high <= range_hz[1] * slack)]
-    )
+    inside = (r for r in TIE_RATIOS if r * low * slack >= range_hz[0] and r * high <= range_hz[1] * slack)
+    return np.array([1.0, *inside])
 
 
 def _checked(signals: Floats) -> Floats:
@@ -263,11 +255,9 @@ def _range_hz(
     low = max(stated_rpm[0] / 60.0, revs * rate_hz / n_samples)
     high = min(stated_rpm[1] / 60.0, 0.4 * rate_hz / FEWEST_ORDERS)
     if not 0.0 < low < high:
-        raise InputError(
-            "the recording cannot tell any speed of the range",
-            found=f"{n_samples / rate_hz:.3g} s at {rate_hz:g} Hz for {stated_rpm[0]:g} to {stated_rpm[1]:g} rpm",
-            allowed=f"{revs:g} revolutions, {FEWEST_ORDERS:g} orders in the band",
-        )
+        found = f"{n_samples / rate_hz:.3g} s at {rate_hz:g} Hz for {stated_rpm[0]:g} to {stated_rpm[1]:g} rpm"
+        allowed = f"{revs:g} revolutions, {FEWEST_ORDERS:g} orders in the band"
+        raise InputError("the recording cannot tell any speed of the range", found=found, allowed=allowed)
     return low, high
 
 
@@ -278,8 +268,7 @@ def _transition(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[int, 
     return max(1, math.ceil(steps)), 0.5 / max(0.5, (USUAL_SLEW * steps)) ** 2
 
 
-@dataclass(frozen=True)
-class _Run:
+class _Run(NamedTuple):
     """A run of speeds ``path``, its angle, and how well fundamentals at ``ratio`` to it explain it.
 
     ``ratio_odds`` (ratios,): their log odds; ``frame_odds`` (frames, ratios): those of single frames at ``frame_s``.
@@ -352,16 +341,14 @@ def _corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) 
     from scipy.ndimage import uniform_filter1d
 
     total = float(run.angle_rev[-1])
-    centre = np.linspace(
-        0.5 * FRAME_REVS, total - 0.5 * FRAME_REVS, max(3, int((total - FRAME_REVS) * KNOTS_PER_FRAME / FRAME_REVS) + 1)
-    )
+    count = max(3, int((total - FRAME_REVS) * KNOTS_PER_FRAME / FRAME_REVS) + 1)
+    centre = np.linspace(0.5 * FRAME_REVS, total - 0.5 * FRAME_REVS, count)
     turn, weight, snr = _turns(signals, rate_hz, run, centre, order)
     gain, hop = 2.0 * np.pi * order, float(centre[1] - centre[0])
     change, vote = _outvoted(turn, weight, gain, hop)
     # what each order alone would add to the angle, about the middle
-    own = np.vstack(
-        (np.zeros(order.size), np.cumsum(wrapped(turn - change[:, None] * gain, 2.0 * np.pi) / gain, axis=0))
-    )
+    moved = np.cumsum(wrapped(turn - change[:, None] * gain, 2.0 * np.pi) / gain, axis=0)
+    own = np.vstack((np.zeros(order.size), moved))
     own -= own[centre.size // 2]
     trust = np.vstack((vote[:1], vote)) * gain**2
     share = trust / np.maximum(trust.sum(axis=1, keepdims=True), 1e-300)
@@ -374,9 +361,8 @@ def _corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) 
     error = np.sqrt(spread + noise + noise[noise.size // 2] + averaged)
     # beyond the frames the run errs as where they end, give or take what it usually does
     ends = KNOTS_PER_FRAME // 2
-    angle = np.concatenate(
-        (np.linspace(0.0, centre[0], ends + 1)[:-1], centre, np.linspace(centre[-1], total, ends + 1)[1:])
-    )
+    before, after = np.linspace(0.0, centre[0], ends + 1)[:-1], np.linspace(centre[-1], total, ends + 1)[1:]
+    angle = np.concatenate((before, centre, after))
     rate = np.pad(change / hop, ends, "edge")
     true = angle + np.concatenate(([0.0], np.cumsum(rate * np.diff(angle))))
     usual, beyond = float(np.std(change / hop)), np.abs(angle - np.clip(angle, centre[0], centre[-1]))

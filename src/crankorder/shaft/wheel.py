@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -70,18 +70,14 @@ def at_index(
         flags.append(("no_index", "suspect", detail))
         return tooth, float("nan"), period
     lost = np.maximum(0, np.round(np.diff(place) / period) - 1).astype(np.int64)
-    if renumber and slipped.any():
-        detail = f"pulse count put right at {slipped.sum()} index marks, {listed_times(marks[slipped])}"
-        flags.append(("encoder_slip", "suspect", detail))
-    elif slipped.any():
-        detail = f"{slipped.sum()} times the index moves against the wheel, {listed_times(marks[slipped])}"
-        flags.append(("index_slip", "suspect", detail))
-    if odd.any():
-        detail = f"{odd.sum()} index marks out of place, left out, {listed_times(marks[odd])}"
-        flags.append(("index_extra", "suspect", detail))
-    if lost.any():
-        detail = f"{lost.sum()} index marks missing, filled in, after those {listed_times(marks[:-1][lost > 0])}"
-        flags.append(("index_lost", "suspect", detail))
+    moved = f"{slipped.sum()} times the index moves against the wheel,"
+    moved = f"pulse count put right at {slipped.sum()} index marks," if renumber else moved
+    told = (
+        ("encoder_slip" if renumber else "index_slip", moved, marks[slipped]),
+        ("index_extra", f"{odd.sum()} index marks out of place, left out,", marks[odd]),
+        ("index_lost", f"{lost.sum()} index marks missing, filled in, after those", marks[:-1][lost > 0]),
+    )
+    flags += [(name, "suspect", f"{what} {listed_times(times)}") for name, what, times in told if times.size]
     return renumbered if renumber else tooth, anchor, period
 
 
@@ -139,8 +135,7 @@ CERTAIN_MARGIN = 1.0
 MOST_MISFIT = 0.4
 
 
-@dataclass(frozen=True)
-class NumberedTeeth:
+class NumberedTeeth(NamedTuple):
     """Pulses that were kept, each with its tooth number on an endless wheel (lost teeth leave holes in the numbers).
 
     ``time_s`` (pulses,) are their times [s], ``tooth`` (pulses,) the numbers. ``index_tooth`` is the tooth number,
@@ -242,11 +237,8 @@ def _followed_even(time_s: Floats, teeth: int, settings: ShaftSettings, noise_s:
     near = step[: 4 * window + 8]
     usual = float(np.median(near))
     reach = JITTER_SIGMAS * math.sqrt(2.0) * _jitter(step)
-    ratios = (
-        min(settings.double_pulse_ratio, 1.0 - reach),
-        max(settings.lost_pulse_ratio, 1.0 + reach),
-        min(1.0 + SPLIT_SHARE, 2.0 - reach),
-    )
+    double, lost = min(settings.double_pulse_ratio, 1.0 - reach), max(settings.lost_pulse_ratio, 1.0 + reach)
+    ratios = (double, lost, min(1.0 + SPLIT_SHARE, 2.0 - reach))
 
     def counted(times: Floats, recent: Floats) -> tuple[Ints, Ints]:
         kept, tooth = np.zeros(times.size, dtype=np.int64), np.zeros(times.size, dtype=np.int64)
@@ -292,24 +284,18 @@ def _uncertain(time_s: Floats, n_lost: int, n_false: int, wheel: Wheel, settings
     problem = f"{seen}: the count is not certain"
     if not wheel.even:
         return _other_wheel(problem, time_s, wheel)
-    return InputError(
-        problem,
-        place="encoder",
-        allowed=f"{settings.max_repaired_fraction:.0%} repaired",
-        remedy="Check pulses_per_rev, missing_teeth and edge in run.toml, and the sensor's gap and cable",
-    )
+    allowed = f"{settings.max_repaired_fraction:.0%} repaired"
+    remedy = "Check pulses_per_rev, missing_teeth and edge in run.toml, and the sensor's gap and cable"
+    return InputError(problem, place="encoder", allowed=allowed, remedy=remedy)
 
 
 def _other_wheel(problem: str, time_s: Floats, wheel: Wheel) -> InputError:
     """The error of pulses that do not fit the ``wheel``; it names the wheel that they do fit, where they tell."""
     pattern = find_pattern(time_s)
-    return InputError(
-        problem,
-        place="encoder",
-        found="" if pattern is None else f"a wheel {pattern.told}",
-        allowed=f"a {wheel.name} wheel of {wheel.places.size} pulses per revolution",
-        remedy="Mend the wheel (pattern, pulses_per_rev, missing_teeth) or the edge in run.toml, or the sensor's gap",
-    )
+    found = "" if pattern is None else f"a wheel {pattern.told}"
+    allowed = f"a {wheel.name} wheel of {wheel.places.size} pulses per revolution"
+    remedy = "Mend the wheel (pattern, pulses_per_rev, missing_teeth) or the edge in run.toml, or the sensor's gap"
+    return InputError(problem, place="encoder", found=found, allowed=allowed, remedy=remedy)
 
 
 def _check_times(time_s: Floats) -> None:
@@ -318,12 +304,9 @@ def _check_times(time_s: Floats) -> None:
     bad = np.flatnonzero(~(time_s[1:] >= time_s[:-1]))
     if bad.size or not np.isfinite(time_s[0]):
         at = int(bad[0]) + 1 if bad.size else 0
-        raise InputError(
-            "pulse times go back or are not finite",
-            place=f"encoder pulse {at}",
-            found=f"{time_s[at]!r} s after {time_s[max(at - 1, 0)]!r} s",
-            remedy="Mend the counter's roll-over, or leave the recording out",
-        )
+        problem, found = "pulse times go back or are not finite", f"{time_s[at]!r} s after {time_s[max(at - 1, 0)]!r} s"
+        remedy = "Mend the counter's roll-over, or leave the recording out"
+        raise InputError(problem, place=f"encoder pulse {at}", found=found, remedy=remedy)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -469,12 +452,9 @@ def stated_wheel(recording: xr.Dataset) -> tuple[Wheel, list[Remark]]:
     between = max(np.split(pulse_s, np.searchsorted(pulse_s, attrs.get("gap_starts_s", []))), key=len)
     found = find_pattern(between, index_time_s=times_of(recording, "index_time"))
     if found is None:
-        raise InputError(
-            "nothing states the pulses per revolution, and the pulses do not tell: they are even, or too few",
-            place="encoder.pulses_per_rev",
-            found=f"{between.size} pulses",
-            remedy="State pulses_per_rev, pattern or tooth_angles_deg in run.toml, or name the index",
-        )
+        problem = "nothing states the pulses per revolution, and the pulses do not tell: they are even, or too few"
+        remedy = "State pulses_per_rev, pattern or tooth_angles_deg in run.toml, or name the index"
+        raise InputError(problem, place="encoder.pulses_per_rev", found=f"{between.size} pulses", remedy=remedy)
     remark: Remark = ("encoder_pattern_found", "suspect", f"wheel found from the pulses: {found.told}; state it")
     angles = found.pattern.angles_deg
     return wheel_of(len(angles), tooth_angles_deg=angles), [remark]
