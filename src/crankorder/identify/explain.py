@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,8 +57,7 @@ _PROOF: dict[Lock, str] = {
 }
 
 
-@dataclass(frozen=True)
-class Causes:
+class Causes(NamedTuple):
     """One cause for every line: ``orders`` by channel and AgreedOrder.order, ``modes`` and ``tones`` as in ModalFit."""
 
     orders: LineCauses
@@ -99,8 +99,7 @@ class _Test:
     of_cycle: dict[float, float | None]
 
 
-@dataclass(frozen=True)
-class _Line:
+class _Line(NamedTuple):
     """What the rules know of one line: ``of_cycle`` is the multiple of the cycle's order that it is or may be, or None.
 
     ``at`` are the stated parts there; ``in_cylinder``: whether its channel is the pressure in a cylinder.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -81,8 +82,7 @@ SEARCHES = {"floor": "the floor", "orders": "orders over the speeds", "sweeps": 
 IN_DOUBT = "the speed is in doubt"
 
 
-@dataclass(frozen=True, eq=False)
-class Measured:
+class Measured(NamedTuple):
     """What the stages before made of a test, to be explained.
 
     ``order_map`` (OrderMap) and ``campbell`` (CampbellMap) are its maps, without speeds where none is known; ``frames``
@@ -185,8 +185,7 @@ def _with_share_above(energy: Energy, levels: Sequence[Level]) -> Energy:
     return replace(energy, channels=channels)
 
 
-@dataclass(frozen=True)
-class _Lines:
+class _Lines(NamedTuple):
     """Orders as the map shows them (``in_map``) and with the amplitudes of their tracks; modes and tones.
 
     ``known`` lines of the motor and the mains; the ``motor``; why the speed is in ``doubt``, or None; revolutions of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from crankorder.orders.intervals import half_width
 from crankorder.settings import MethodNumbers
 
 
-@dataclass(frozen=True)
-class Limit:
+class Limit(NamedTuple):
     """A limit of the manifest: ``value_si`` in SI units; a balance grade has no band."""
 
     quantity: str
@@ -88,8 +87,7 @@ class StatedPart:
     elements: int | None = None
 
 
-@dataclass(frozen=True)
-class PartsAt:
+class PartsAt(NamedTuple):
     """Parts at an order: ``near`` with the multiple that is there, nearest first; ``unparted``: see parts_at."""
 
     near: tuple[tuple[StatedPart, int], ...]
@@ -137,8 +135,7 @@ GAS_ORDERS = (0.5, 1.5, 2.5, 3.5)
 """Two or more of these half orders tell of gas in a four-stroke engine: nothing else makes its cycle felt so."""
 
 
-@dataclass(frozen=True)
-class CycleForce:
+class CycleForce(NamedTuple):
     """Peaks of one ``order`` at ``speed_rpm``: of the ``gas`` torque, the masses' ``torque`` (N·m) and ``force`` (N).
 
     ``lever_m`` is the length on which the force counts as a moment: that of crank and rod, as high as an engine stands

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product, takewhile
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -25,8 +26,7 @@ from crankorder.settings import MethodNumbers
 NUMBERS = MethodNumbers("5-identify-explain.toml", "sidebands")
 
 
-@dataclass(frozen=True)
-class Sideband:
+class Sideband(NamedTuple):
     """Line ``at`` is one of ``carrier`` (positions in the lists given), ``multiple`` times ``spacing`` from it."""
 
     at: int
@@ -439,8 +439,7 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
     return causes
 
 
-@dataclass(frozen=True, eq=False)
-class _Given:
+class _Given(NamedTuple):
     """Largest ``amplitude`` (rows,) that the order ``carrier`` gives by a swing of the shaft.
 
     ``known`` (rows,): whether the speeds are close enough to tell how the structure responds.

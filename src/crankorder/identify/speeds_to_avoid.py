@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.special import ndtri
@@ -43,8 +43,7 @@ def _open(low: float, high: float, why: str, *, amplified: bool = False) -> Open
     return OpenBand(low_rpm=low, high_rpm=high, remark=why, amplified=amplified)
 
 
-@dataclass(frozen=True)
-class _Peak:
+class _Peak(NamedTuple):
     """Peak ``amplitude`` of an order in a channel with its 95 % interval: as recorded, or what it would be if held.
 
     ``response`` is the fit that knows the peak, if any does; its number is told where ``by_fit``.
@@ -56,8 +55,7 @@ class _Peak:
     by_fit: bool = False
 
 
-@dataclass(frozen=True)
-class Sizes:
+class Sizes(NamedTuple):
     """Largest amplitude of any order ``of_channel``, with the ``unit`` of each channel: those of one unit compare."""
 
     of_channel: Mapping[str, float]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,7 @@ BINS_WORTH = 0.5
 """Independent bins that a bin of a Hann window's spectrum is worth beside its neighbours."""
 
 
-@dataclass(frozen=True, eq=False)
-class OrderForces:
+class OrderForces(NamedTuple):
     """Forces and moments of the orders over ω²: ``known`` (axis, order) in kg·m (kg·m²), and per kg sought ``unit``.
 
     ``unit``: (mass, axis, order).
@@ -135,8 +135,7 @@ def quiet_fit(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *,
     return QuietFit(problem, theta, fit, tuple(sorted(odd)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+class _Fit(NamedTuple):
     """Left-over errors (channel, row) and their slopes (channel, row, parameter) over the errors; model; residues.
 
     ``path``: what :func:`_terms` made.
@@ -150,8 +149,7 @@ class _Fit:
     path: tuple[Complexes, Complexes]
 
 
-@dataclass(frozen=True, eq=False)
-class QuietFit:
+class QuietFit(NamedTuple):
     """Masses and path as the orders' own errors have them, without ``odd_speeds_rpm``, before a misfit widens them."""
 
     problem: _Problem
@@ -420,8 +418,7 @@ UNIT_RPM = 30.0 / np.pi
 """Speed at which ω is 1: forces there are forces over ω²."""
 
 
-@dataclass(frozen=True, eq=False)
-class KnownForces:
+class KnownForces(NamedTuple):
     """Orders of known force and orders whose masses are sought, with their forces.
 
     ``orders``: lowest first. ``sought``: (order, axis) of each mass sought; 1 kg of it makes the force

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -276,8 +276,7 @@ ROTOR_RADIUS_M = 1e-3
 """Radius at which the mass of a rotor's unbalance is counted: 1 kg there is 1000 g·mm."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Forces:
+class _Forces(NamedTuple):
     """Masses of one order in a ``split``, the share of the order that the paths ``missed``, and speeds that told."""
 
     split: Split
@@ -409,8 +408,7 @@ Place = tuple[int, str]
 """Order and axis of a force."""
 
 
-@dataclass(frozen=True, eq=False)
-class Split:
+class Split(NamedTuple):
     """Complex masses (kg at the crank radius) behind orders 1 and 2, with what they multiply.
 
     ``mass_kg`` (mass,); ``covariance`` (2 mass, 2 mass) of real and imaginary parts in turn, with ``freedom``;

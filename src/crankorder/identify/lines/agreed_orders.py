@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -116,8 +117,7 @@ class _Number:
         return any(course is not None and course.slips_from(multiple - at) for at, course in self.swept)
 
 
-@dataclass(frozen=True)
-class _Unnamed:
+class _Unnamed(NamedTuple):
     """An order before it is said whether it is locked: its number, its lines, and what speaks against it."""
 
     number: _Number

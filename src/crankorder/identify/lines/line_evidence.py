@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -445,8 +444,7 @@ def best_offset(phasors: Complexes, turn: Floats, *, hop_rev: float) -> tuple[fl
 FOLD_NUMBERS = MethodNumbers("5-identify-explain.toml", "folds")
 
 
-@dataclass(frozen=True, eq=False)
-class ShownAlias:
+class ShownAlias(NamedTuple):
     """A fold and where it shows: ``speed_rpm`` and ``order`` (points,), each order known within ``order_error``."""
 
     fold: Alias

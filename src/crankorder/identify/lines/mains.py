@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -77,8 +77,7 @@ def supply_told(places_hz: Sequence[tuple[float, float]], *, settings: IdentifyS
     return supplies.pop() if len(supplies) == 1 else None
 
 
-@dataclass(frozen=True)
-class _Fixed:
+class _Fixed(NamedTuple):
     """Lines of one speed: frequencies and errors in Hz, speeds in rpm, whether each may be an ``exact`` order."""
 
     hertz: Floats
@@ -311,8 +310,7 @@ class Measured(NamedTuple):
     error_hz: float
 
 
-@dataclass(frozen=True, eq=False)
-class MotorSeen:
+class MotorSeen(NamedTuple):
     """``record`` of a motor, its ``lines`` in recordings, and why a stated speed is not that of the shaft, or None."""
 
     record: MotorRecord

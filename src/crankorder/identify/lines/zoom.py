@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import fft
@@ -298,8 +299,7 @@ def _wander(phasors: Complexes, turn: Floats, line: Zoomed) -> float:
     return float(np.median(np.where(large, ratio, 0.0)))
 
 
-@dataclass(frozen=True)
-class Course:
+class Course(NamedTuple):
     """How the phase of a line runs over a recording: at ``offset`` orders from its bin, surely within ``half`` orders.
 
     ``slopes`` (stretches,) are those of its stretches, each known within ``reach``; they cover ``span_rev``.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, fdtrc
@@ -41,8 +42,7 @@ SETTLED, STEPS = 0.05, 12
 """Square of a standard error that a step must gain to be followed by another; steps of a fit at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
+class Prior(NamedTuple):
     """What the floor says of the first poles: ``place`` (P, 2), their ln f and ln ζ, with its ``error`` (P, 2)."""
 
     place: Floats
@@ -106,8 +106,7 @@ def poles_of_orders(
     return state.blocks, poles, more is None
 
 
-@dataclass(frozen=True, eq=False)
-class Settled:
+class Settled(NamedTuple):
     """``blocks`` with their laws and scatter; ``proofs`` of the known poles; the poles ``found``, lowest first.
 
     ``covariance`` (2 M, 2 M) is that of (f_1, ζ_1, f_2, …) of the latter.
@@ -134,8 +133,7 @@ def settled(blocks: Sequence[Block], known: Poles, candidates: Sequence[OrderPol
     return Settled(state.blocks, proofs, tuple(every[len(known) :]), covariance)
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
+class Fitted(NamedTuple):
     """``blocks`` with the scatter that ``poles`` leave, each as ``projected`` with them, and the ``prior`` of these."""
 
     blocks: tuple[Block, ...]
@@ -388,8 +386,7 @@ def _is_beside(poles: Poles, number: int) -> bool:
 ORDER_MODES = MethodNumbers("5-identify-modal.toml", "order_modes")
 
 
-@dataclass(frozen=True)
-class Proof:
+class Proof(NamedTuple):
     """The ``orders`` that by themselves prove a mode, by amplitude and phase.
 
     ``most_rows`` is the largest number of rows of one of them within some widths of it, ``rows`` that of all of them,
@@ -408,8 +405,7 @@ class Proof:
     flanked: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True)
-class OrderPole:
+class OrderPole(NamedTuple):
     """A pole that orders ask for: ``frequency_hz``, ``damping``, the ``channels`` that show it and its ``proof``."""
 
     frequency_hz: float

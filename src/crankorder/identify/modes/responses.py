@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, ndtri
@@ -184,8 +185,7 @@ def _parts(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Compl
     return smooth @ response.smooth, modes * response.residue, columns
 
 
-@dataclass(frozen=True)
-class HeldPeak:
+class HeldPeak(NamedTuple):
     """Largest steady peak ``amplitude`` of an order in a channel, at ``rpm``.
 
     ``error`` is the standard error of the amplitude, with ``freedom`` degrees of freedom.
@@ -300,8 +300,7 @@ def least_seen(
     return tuple(bounds)
 
 
-@dataclass(frozen=True, eq=False)
-class Hiding:
+class Hiding(NamedTuple):
     """What a mode that nobody saw could add to ``order`` in its ``channels``, at ``frequency_hz`` (G,), rising.
 
     ``base`` (C, G) is the amplitude there without it, ``added`` (C, G) the most that it adds unseen, ``noise`` (C, G)
@@ -329,8 +328,7 @@ class Hiding:
         return most
 
 
-@dataclass(frozen=True, eq=False)
-class FloorBound:
+class FloorBound(NamedTuple):
     """Largest ``amplification`` (F,) that a mode at ``frequency_hz`` (F,), rising, could have without being seen."""
 
     frequency_hz: Floats

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -501,8 +502,7 @@ def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> 
 JOINT_FIT = MethodNumbers("5-identify-modal.toml", "joint_fit")
 
 
-@dataclass(frozen=True, eq=False)
-class Band:
+class Band(NamedTuple):
     """``floor`` of a band with what it shares with the next ones; poles in ``range_hz`` (from, to) belong to it.
 
     ``first`` and ``last`` are the bins of the whole floor that are its own, the last one excluded.

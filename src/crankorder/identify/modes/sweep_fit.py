@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -199,8 +200,7 @@ class LocalFit:
         return max(float(shares_of(solved, number).max()) for solved in self.solved)
 
 
-@dataclass(frozen=True, eq=False)
-class OnePoleMore:
+class OnePoleMore(NamedTuple):
     """One pole more at each of S places: ``residues`` (S, orders, C), their ``variance``, what it ``saves`` (S,).
 
     The residues have the unit of the window's amplitudes; a variance is a complex number's whole one, infinite where

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -60,8 +61,7 @@ class _Cells:
         return replace(self, frequency_hz=self.frequency_hz[bins], **parts)
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+class _Fit(NamedTuple):
     """A ``line`` (Hz in the middle of the speeds, slope in orders, damping ratio) fitted to ``cells``.
 
     ``power`` (C, K) of the line, ``fixed`` (C, F) the spectrum that stays; ``covariance`` (3, 3) of (Hz, slope, ln
