@@ -72,8 +72,7 @@ def bearing_records(
                 shafts[key] = shaft
         for line in found:
             records.append(_envelope_record(line, found, envelope, shafts.get((line.place.name, line.speed)), level))
-    beside_races = (_beside_races(record, records) for record in records)
-    return tuple(record for record in beside_races if record is not None)
+    return tuple(filter(None, (_beside_races(record, records) for record in records)))
 
 
 def _beside_races(record: BearingFinding, records: Sequence[BearingFinding]) -> BearingFinding | None:
@@ -260,9 +259,7 @@ def races_words(races: list[str], struck: list[str]) -> str:
 
 
 def _damage(place: Place) -> str:
-    if place.line == "N*fs":
-        return "strikes of every rolling element"
-    return f"damage of {DAMAGED[place.line]}"
+    return "strikes of every rolling element" if place.line == "N*fs" else f"damage of {DAMAGED[place.line]}"
 
 
 def _slip_words(slip_percent: float) -> str:
@@ -344,9 +341,8 @@ def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
         return f"{damaged}."
     if not rivals:
         first, *others = ranked.candidates
-        more = f"{first.level_db - others[0].level_db:.0f} dB more than {others[0].place.title}" if others else ""
-        margin = f", {more}" if others else ""
-        return f"{damaged}; its harmonics stand {own.level_db:.0f} dB over the floor{margin}."
+        more = f", {first.level_db - others[0].level_db:.0f} dB more than {others[0].place.title}" if others else ""
+        return f"{damaged}; its harmonics stand {own.level_db:.0f} dB over the floor{more}."
     levels = ", ".join(f"{rival.place.title} {rival.level_db:.0f} dB" for rival in (own, *rivals))
     levels = f"is not told (harmonics over the floor: {levels})"
     strikes = f"Strikes at {place.title} of {place.name}, {slip}"

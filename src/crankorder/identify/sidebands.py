@@ -278,8 +278,7 @@ def _shafts(
             evidence += "; nothing stands at order 1, and no pulses prove the speed"
         harmonic = "" if multiple == 1 else f"harmonic {multiple} of "
         kind: CauseKind = "stated shaft" if speed_may_be_wrong else "another shaft"
-        cause = Cause(kind, evidence, {"harmonic": harmonic, "ratio": base})
-        shafts |= dict.fromkeys(free[at][1], cause)
+        shafts |= dict.fromkeys(free[at][1], Cause(kind, evidence, {"harmonic": harmonic, "ratio": base}))
     return shafts
 
 

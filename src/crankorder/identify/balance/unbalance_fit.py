@@ -174,8 +174,7 @@ def _fitted(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit) -> K
 
 def _rolls(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit, *, n_modes: int) -> bool:
     """Whether the rolling moment's path explains more of ``measured`` than chance would."""
-    plain = shaker.forces.alone
-    without = quiet_fit(measured, plain, modal, n_modes=n_modes)
+    without = quiet_fit(measured, shaker.forces.alone, modal, n_modes=n_modes)
     gain, more = without.gain_by(quiet_fit(measured, shaker.forces, modal, n_modes=n_modes))
     return bool(gain > 1 + NUMBERS.rolls_sigmas * np.sqrt(2 * len(measured.channels) / more))
 
@@ -276,14 +275,6 @@ ROTOR_RADIUS_M = 1e-3
 """Radius at which the mass of a rotor's unbalance is counted: 1 kg there is 1000 g·mm."""
 
 
-class _Forces(NamedTuple):
-    """Masses of one order in a ``split``, the share of the order that the paths ``missed``, and speeds that told."""
-
-    split: Split
-    missed: float
-    speeds: int
-
-
 def _by_stated_paths(
     order_map: xr.Dataset, lines: Sequence[float], *, engine: Engine | None, paths: tuple[StatedPath, ...]
 ) -> Balance:
@@ -308,12 +299,12 @@ def _by_stated_paths(
     if pistons and engine is not None and 2 in engine.shafts.every_order and 2 in measured.orders and "Z" in directions:
         parts.append((2, ("Z",)))
     fits = [_forces(measured, order, axes, paths, radius_m) for order, axes in parts]
-    split = _split_by_paths([forces.split for forces in fits], engine if pistons else None)
+    split, (_, missed, speeds) = _split_by_paths([fit[0] for fit in fits], engine if pistons else None), fits[0]
     record = split_record(split, engine=engine) if pistons and engine is not None else rotor_record(split)
     used = sorted({path.channel for path in paths})
     evidence = (
-        f"stated paths of {', '.join(used)} at {fits[0].speeds} speeds in their range; they miss "
-        f"{100 * fits[0].missed:.0f} % of order 1; paths that are not stated are taken as none"
+        f"stated paths of {', '.join(used)} at {speeds} speeds in their range; they miss "
+        f"{100 * missed:.0f} % of order 1; paths that are not stated are taken as none"
     )
     orders = tuple(order for order, _ in parts)
     return replace(record, source="stated path", orders_used=orders, evidence=evidence)
@@ -321,7 +312,8 @@ def _by_stated_paths(
 
 def _forces(
     measured: MeasuredOrders, order: int, axes: tuple[str, ...], paths: tuple[StatedPath, ...], radius_m: float
-) -> _Forces:
+) -> tuple[Split, float, int]:
+    """Masses of one ``order``, the share of it that the ``paths`` miss, and the speeds that told."""
     at = measured.order_of_row == order
     f, omega = measured.frequency_hz[at], measured.rpm_of_row[at] * np.pi / 30
     stated = [path for path in paths if path.direction in axes]
@@ -362,7 +354,7 @@ def _forces(
     covariance = max(1.0, chi_square) * _noise(inverse, own, measured.correlation[at]) + covariance
     speeds = int(np.count_nonzero(usable.any(axis=0)))
     sought, per_kg = tuple((order, axis) for axis in axes), np.ones(len(axes), dtype=np.complex128)
-    return _Forces(Split(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), sought, per_kg), missed, speeds)
+    return Split(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), sought, per_kg), missed, speeds
 
 
 def _noise(inverse: Complexes, own: Floats, correlation: Complexes) -> Floats:

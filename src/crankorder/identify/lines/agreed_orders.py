@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import NamedTuple
 
@@ -379,19 +379,17 @@ def _may_be_a_pair(unnamed: _Unnamed, off: float, test: _Test) -> bool:
 
 def unless_sidebands(
     orders: Sequence[AgreedOrder], order_map: xr.Dataset, frames: Sequence[xr.Dataset]
-) -> AgreedOrders:
+) -> Iterator[AgreedOrder]:
     """``orders``, undecided and of no number of their own where errors of the crank angle (in ``frames``) may have made
     them. A line of the shaft that most speeds of ``order_map`` show is none of these, whose orders move with the speed.
     """
-    checked = list[AgreedOrder]()
     for order in orders:
         few = 2 * len({at for line in order.lines for at in line.seen.tolist()}) <= order_map.sizes["speed"]
         carrier = sideband_of(order.lines, order_map, frames) if few or order.lock != "locked" else None
         if carrier is not None:
             doubt = Doubt("angle in error", f"no larger than what errors of the crank angle make of order {carrier:g}")
             order = replace(order, lock="undecided", doubts=(*order.doubts, doubt), of_angle=True)
-        checked.append(order)
-    return tuple(checked)
+        yield order
 
 
 def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -227,9 +227,8 @@ def _read(line: OrderLine, rows: OrderRows, met: Sequence[PartedRow], worth: Flo
     return replace(made, remark="; ".join(text for text in (remark, *_met_words(apart, made, at, channel)) if text))
 
 
-def _met_words(met: Sequence[PartedRow], line: OrderLine, at: Ints, channel: int) -> list[str]:
+def _met_words(met: Sequence[PartedRow], line: OrderLine, at: Ints, channel: int) -> Iterator[str]:
     """What is said of rows that ``met`` lines of one frequency, of those ``at`` which ``line`` was seen."""
-    said = []
     for row in met:
         place = np.flatnonzero(at == row.row)
         if not len(place) or line.ends is None:
@@ -237,7 +236,6 @@ def _met_words(met: Sequence[PartedRow], line: OrderLine, at: Ints, channel: int
         rpm, (low, high) = float(line.speed_rpm[place[0]]), line.ends[place[0]]
         what = " and ".join(line_met.text for line_met in row.lines)
         if row.is_parted[channel]:
-            said.append(f"told apart from {what}")
+            yield f"told apart from {what}"
         elif high - low > NUMBERS.told_share * line.amplitude[place[0]]:
-            said.append(f"{what} meets it at {rpm:.5g} rpm, where its own share is {low:.3g}…{high:.3g}")
-    return said
+            yield f"{what} meets it at {rpm:.5g} rpm, where its own share is {low:.3g}…{high:.3g}"

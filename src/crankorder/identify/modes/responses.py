@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
@@ -37,9 +37,8 @@ ABOUT_MODE, PER_MODE = 4.0, 81
 """… and those within so many half-power widths of each mode."""
 
 
-def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, ...]:
+def responses_of(blocks: Sequence[Block], modes: Poles) -> Iterator[OrderResponse]:
     """OrderResponse of each channel of ``blocks`` that have phases, for the ``modes``."""
-    responses = []
     for block, part in (with_scatter(block, modes) for block in blocks if not block.rows.power):
         rows, first = block.rows, block.degree + 1
         covariance, slopes = part.covariance * part.beyond_errors, _terms_by_poles(block, modes, part)
@@ -47,7 +46,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
             residue = np.zeros(len(modes), dtype=complex)
             residue[part.reached] = part.linear[number, first:]
             known = rows.error[number][np.isfinite(rows.error[number])]
-            response = OrderResponse(
+            yield OrderResponse(
                 order=rows.order,
                 channel=channel,
                 force=block.force,
@@ -61,8 +60,6 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
                 recording=rows.recording,
                 slopes=slopes[number],
             )
-            responses.append(response)
-    return tuple(responses)
 
 
 def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complexes:
@@ -121,8 +118,7 @@ def together(parts: Sequence[WithAndWithout]) -> WithAndWithout:
 def shapes(frequency_hz: Floats, modal: ModalFit) -> Complexes:
     """Response (frequencies, modes) of each mode of ``modal`` at ``frequency_hz``: −x² / (1 − x² + 2iζx), x = f/f_j."""
     natural = np.array([mode.frequency_hz for mode in modal.modes])
-    damping = np.array([mode.damping_ratio for mode in modal.modes])
-    return resonance(frequency_hz, natural, damping)
+    return resonance(frequency_hz, natural, np.array([mode.damping_ratio for mode in modal.modes]))
 
 
 def held_amplitudes(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Floats, Floats]:

@@ -557,8 +557,7 @@ class Solved:
         rung = (np.exp(np.outer(back, pole)).T @ force[len(force) - len(back) :]) * step
         lacking = pole**2 / (2j * pole.imag) * (before - rung)
         decay = np.exp(np.outer(time_s - sweep.start_s, pole) - 2j * np.pi * order * angle_rev[:, None])
-        place = window.orders.index(order)
-        return np.asarray((decay * lacking) @ self.residues[place])
+        return np.asarray((decay * lacking) @ self.residues[window.orders.index(order)])
 
     def _columns_of(self, order: float) -> NDArray[np.intp]:
         """Numbers of the columns of ``order``."""
