@@ -113,9 +113,7 @@ def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int
     multiples = [n for n in (2, 3, 4) if any((part, n) in parts_at([part], order).near for order in orders)]
     return _record(
         place,
-        best.order,
-        best.order_error,
-        best.degrees_of_freedom,
+        (best.order, best.order_error, best.degrees_of_freedom),
         shaft=None,
         seen_in="vibration",
         amplitude=level.amplitude,
@@ -132,13 +130,13 @@ def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int
 
 
 def _record(
-    place: Place, order: float, error: float, freedom: float, shaft: ShaftSpeed | None, judged: Judged, **seen: Any
+    place: Place, told: tuple[float, float, float], shaft: ShaftSpeed | None, judged: Judged, **seen: Any
 ) -> BearingFinding:
-    """Finding of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``, as it was ``seen``.
+    """Finding of a line as it was ``seen``, of which order, standard error and degrees of freedom of that are ``told``.
 
     ``judged`` is the verdict on it. Slip is that beside the true speed of the ``shaft``, where it was read.
     """
-    half = error * half_width(freedom)
+    order, half = told[0], told[1] * half_width(told[2])
     factor, factor_error = (shaft.factor, shaft.error) if shaft is not None else (1.0, 0.0)
     slip = place.slip_percent(order / factor)
     half_slip = 100.0 / place.expected * math.hypot(half, Z95 * factor_error * order)
@@ -178,9 +176,7 @@ def _envelope_record(
     )
     return _record(
         line.place,
-        line.order,
-        line.order_error,
-        line.freedom,
+        (line.order, line.order_error, line.freedom),
         shaft,
         seen_in="envelope",
         amplitude=line.amplitude,

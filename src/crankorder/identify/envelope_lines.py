@@ -272,8 +272,7 @@ def _looks_in(envelope: xr.Dataset) -> dict[Comb, Look]:
     """What ``envelope`` holds of the bands that serve its combs; nothing where none were looked for."""
     if "comb_ratio" not in envelope:
         return {}
-    order = envelope["order"].values
-    bins = np.round(envelope["look"].values / order[1]).astype(np.int64)
+    bins = np.round(envelope["look"].values / envelope["order"].values[1]).astype(np.int64)
     looks = {}
     for number, comb in enumerate(combs_in(envelope)):
         ratio, raw, amplitude = (np.zeros(envelope["amplitude"].shape) for _ in range(3))

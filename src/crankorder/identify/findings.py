@@ -221,7 +221,7 @@ def _lines(measured: Measured, doubt: str | None, motor: Motor | None, settings:
     modal = with_tones_settled(in_map, modal, held, known, settings=asked)
     in_map = in_map if doubt is None else undecided_orders(in_map)
     reader = TrackReader(order_map, frames=frames, followed=followed, fixed=fixed_lines(modal.tones))
-    orders = with_track_rows(in_map, reader, settings=settings.orders)
+    orders = tuple(with_track_rows(in_map, reader, settings=settings.orders))
     longest = max((recording.span_rev for recording in held), default=np.inf)
     record = None if seen_motor is None else seen_motor.record
     return _Lines(in_map, orders, modal, known, record, doubt, longest)

@@ -260,8 +260,7 @@ def line_of(order_map: xr.Dataset, channel: str, order: float, at: Ints, *, lock
     phases : whether to give the phasor
     """
     number = order_map["channel"].values.tolist().index(channel)
-    axis = order_map["order"].values
-    peak = int(np.argmin(np.abs(axis - order)))
+    peak = int(np.argmin(np.abs(order_map["order"].values - order)))
 
     def values(name: str, bins: Any = peak) -> Floats:
         table = order_map[name].transpose("channel", "speed", "order").values[number][at]

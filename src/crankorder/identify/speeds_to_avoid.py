@@ -262,13 +262,10 @@ def _joined(met: list[AvoidedSpeed]) -> Iterator[AvoidedSpeed]:
     first = np.flatnonzero(begins > np.append(-np.inf, np.maximum.accumulate(ends))[:-1]).tolist()
     for begin, end in pairwise([*first, len(met)]):
         by_cost = sorted(met[begin:end], key=lambda peak: -(peak.cost or 0.0))
-        yield replace(
-            by_cost[0],
-            rpm_range=(float(begins[begin]), float(ends[begin:end].max())),
-            orders=tuple(peak.order for peak in by_cost),
-            modes_hz=tuple(peak.mode_hz for peak in by_cost),
-            reason=" and ".join(peak.reason for peak in by_cost),
-        )
+        orders, modes_hz = zip(*((peak.order, peak.mode_hz) for peak in by_cost), strict=True)
+        rpm_range = float(begins[begin]), float(ends[begin:end].max())
+        reason = " and ".join(peak.reason for peak in by_cost)
+        yield replace(by_cost[0], rpm_range=rpm_range, orders=orders, modes_hz=modes_hz, reason=reason)
 
 
 def _by_modes(

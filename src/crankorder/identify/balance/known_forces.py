@@ -101,9 +101,7 @@ def modes_with_room(modal: ModalFit, *, axes: int, top_hz: float, rows: int) -> 
     """
     least = sum(mode.frequency_hz < NUMBERS.near_ratio * top_hz for mode in modal.modes)
     most = sum(mode.frequency_hz < NUMBERS.far_ratio * top_hz for mode in modal.modes)
-    if rows < rows_needed(least, axes=axes):
-        return None
-    return int(max(least, min(most, rows // (2 * axes) - 2)))
+    return None if rows < rows_needed(least, axes=axes) else int(max(least, min(most, rows // (2 * axes) - 2)))
 
 
 def rows_needed(n_modes: int, *, axes: int) -> int:

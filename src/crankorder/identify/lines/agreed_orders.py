@@ -256,14 +256,10 @@ def _followed(group: list[OrderLine], tracks: list[Followed], test: _Test) -> _U
     """One of several close lines of a sweep by its ``tracks`` in the recordings that part them."""
     read = [track for track in tracks if track.by_phase] or tracks
     joined = _joined([(track.number, track.variance, SURE_FREEDOM) for track in read])
-    number = replace(
-        joined,
-        # the same modes turn the phase in all recordings alike: more of them tell no better
-        error=max(joined.error, float(np.sqrt(min(track.variance for track in read)))),
-        by_phase=read[0].by_phase,
-        swept=tuple((track.order, track.course) for track in tracks),
-        parted_rev=min(track.span_rev for track in tracks),
-    )
+    # the same modes turn the phase in all recordings alike: more of them tell no better
+    error = max(joined.error, float(np.sqrt(min(track.variance for track in read))))
+    swept, parted_rev = tuple((track.order, track.course) for track in tracks), min(t.span_rev for t in tracks)
+    number = replace(joined, error=error, by_phase=read[0].by_phase, swept=swept, parted_rev=parted_rev)
     speeds, channels = test.order_map["speed"].values, _all_channels(group, test)
     lines = lines_of(channels, tracks, speed_rpm=speeds, order=number.order, order_error=number.error)
     return _Unnamed(number, lines or group, (PARTED_IN_SWEEP,))

@@ -87,8 +87,7 @@ def with_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset],
         slow = places[: int(np.cumprod(np.diff(numbers, prepend=0.0) < LOWEST_BINS * step).sum())]
         for place, number in zip(places, numbers, strict=True):
             beside = (abs(number - sweep["order"].values[other]) for other in slow if other != place)
-            nearest = min(beside, default=step)
-            apart = 0.5 * min(step, nearest) if place in slow else 0.5 * step
+            apart = 0.5 * min(step, min(beside, default=step)) if place in slow else 0.5 * step
             known = any(abs(kept.order - number) <= max(NUMBERS.same_order * number, apart) for kept in known_orders)
             off = 0.0 if place in slow else abs(nearest_multiple(number, revs_per_cycle=cycle) - number)
             if known or off > NUMBERS.same_order * number:
@@ -155,7 +154,9 @@ FIXED_WORDS: dict[ToneKind, str] = {"mains": "mains", "tone": "a tone"}
 """Lines that stay where they are, in a sentence; what may be an order is none."""
 
 
-def with_track_rows(orders: Sequence[AgreedOrder], reader: TrackReader, *, settings: OrderSettings) -> AgreedOrders:
+def with_track_rows(
+    orders: Sequence[AgreedOrder], reader: TrackReader, *, settings: OrderSettings
+) -> Iterator[AgreedOrder]:
     """``orders`` whose lines hold the amplitudes, phases and intervals of the rows of their tracks, as ``reader`` has
     them for all orders of the test and those that ``settings`` ask for.
 
@@ -164,12 +165,10 @@ def with_track_rows(orders: Sequence[AgreedOrder], reader: TrackReader, *, setti
     cycle = int(reader.order_map.attrs["revs_per_cycle"])
     numbers = [track_number(known, revs_per_cycle=cycle) for known in orders]
     tracked = all_tracked(numbers, settings)
-    followed = []
     for agreed, number in zip(orders, numbers, strict=True):
         others = [other for other in tracked if other != number]
         of_track = reader.rows(number, others), reader.met(number, others), reader.worth(number), reader
-        followed.append(replace(agreed, lines=tuple(_read(line, *of_track) for line in agreed.lines), tracked=number))
-    return tuple(followed)
+        yield replace(agreed, lines=tuple(_read(line, *of_track) for line in agreed.lines), tracked=number)
 
 
 def fixed_lines(tones: Sequence[Tone]) -> tuple[FixedLine, ...]:

@@ -301,9 +301,7 @@ def _truncated_quantile(cut: float, wide: float, degrees_of_freedom: float, shar
 
     if above(-wide) >= 0.0:
         return -wide
-    if above(wide) <= 0.0:
-        return wide
-    return root(above, -wide, wide, within=1e-6)
+    return wide if above(wide) <= 0.0 else root(above, -wide, wide, within=1e-6)
 
 
 def reported(line: OrderLine, law: Growth | None) -> Largest:

@@ -391,12 +391,10 @@ def _speed(motor: Motor, held: HeldFrames, supply: Measured, *, by_shaft: bool) 
     """What the motor does in one recording; None without poles, or where nothing tells its speed."""
     if motor.poles is None:
         return None
-    shaft = Measured(held.rpm * motor.shaft_ratio / 60.0, 0.0)
-    if not by_shaft:
-        below = _line_below_field(motor, held, supply.hertz)
-        if below is None:
-            return None
-        shaft = below
+    stated = Measured(held.rpm * motor.shaft_ratio / 60.0, 0.0)
+    shaft = stated if by_shaft else _line_below_field(motor, held, supply.hertz)
+    if shaft is None:
+        return None
     synchronous_rpm = motor.synchronous_rpm(supply.hertz)
     slip = 1.0 - 60.0 * shaft.hertz / synchronous_rpm
     half = Z95 * float(np.hypot(supply.error_hz / supply.hertz, shaft.error_hz / shaft.hertz))

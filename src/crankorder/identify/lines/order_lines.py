@@ -363,8 +363,7 @@ def _refined(lobe: Floats, noise: Floats) -> tuple[float, float]:
     offset = 0.5 * (by_right + by_left)
     weight = lobe[:, 1] ** 2 / np.maximum(noise, 1e-12 * lobe[:, 1] ** 2)
     mean = float(np.average(offset, weights=weight))
-    share = weight / weight.sum()
-    spread = float(np.sqrt(share @ (offset - mean) ** 2 / max(1, len(offset) - 1)))
+    spread = float(np.sqrt(weight / weight.sum() @ (offset - mean) ** 2 / max(1, len(offset) - 1)))
     apart = 0.5 * abs(float(np.average(by_right - by_left, weights=weight)))
     return mean, max(spread, apart, 0.61 / float(np.sqrt(weight.sum())))
 
@@ -405,8 +404,7 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
     revs = float(frames.attrs["revs_per_frame"])
     place = order * revs
     used = _bins_about(place, frames)
-    turned = _turned(frames, used)
-    seen = turned.reshape(-1, len(used))
+    seen = _turned(frames, used).reshape(-1, len(used))
     seen = seen[np.isfinite(seen).all(axis=1) & (seen != 0.0).any(axis=1)]
     if len(seen) < SWEPT_NUMBERS.fewest_frames or len(used) < SWEPT_NUMBERS.reach_bins:
         return float("nan")

@@ -212,12 +212,9 @@ def _with_order_modes(fit: ModalFit, by_orders: Settled, every: Poles, settings:
     parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
     modes = (*fit.modes, *more)
     rank = poles_of_modes(modes).rank
-    return replace(
-        fit,
-        modes=tuple(modes[k] for k in rank.tolist()),
-        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more)),
-        covariance=covariance_among(side_by_side(parts), rank),
-    )
+    tones = tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more))
+    covariance = covariance_among(side_by_side(parts), rank)
+    return replace(fit, modes=tuple(modes[k] for k in rank.tolist()), tones=tones, covariance=covariance)
 
 
 def _found(fitted: list[Fitted], floor: Floor, proofs: dict[float, Proof], settings: IdentifySettings) -> ModalFit:

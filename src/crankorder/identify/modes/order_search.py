@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -99,8 +99,7 @@ def poles_of_orders(
         state = more
         more, followed = _more(state, tried, chance=chance, most_damping=most_damping)
         starts -= followed
-    state = state if more is None else more
-    state = _pruned(state, chance=chance)
+    state = _pruned(state if more is None else more, chance=chance)
     new = range(len(known), len(state.poles))
     poles = tuple(named(state.blocks, state.projected, state.poles, number) for number in new)
     return state.blocks, poles, more is None
@@ -173,12 +172,11 @@ class Fitted(NamedTuple):
         pairs = zip(less._left_shares(), self._left_shares(clear=False), strict=True)
         return max((float((before - after).max()) for before, after in pairs), default=0.0)
 
-    def _left_shares(self, *, clear: bool = True) -> list[Floats]:
+    def _left_shares(self, *, clear: bool = True) -> Iterator[Floats]:
         """What is left of each row (C, K) of each block as a share of the amplitude; 0 where that is small.
 
         And, of what must be ``clear``, where noise may have made it.
         """
-        shares = []
         for block, part in zip(self.blocks, self.projected, strict=True):
             left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
             rows = block.rows
@@ -186,8 +184,7 @@ class Fitted(NamedTuple):
             counts = rows.linear_size > NUMBERS.matters_share * rows.linear_size.max()
             if clear:
                 counts &= left > NUMBERS.clear_sigmas * block.noise * rows.error
-            shares.append(np.where(counts, share, 0.0))
-        return shares
+            yield np.where(counts, share, 0.0)
 
     def saves(self, less: Fitted) -> float:
         """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
@@ -355,18 +352,14 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     while number < len(state.poles):
         fewer, needed = _without(state, number, chance=chance)
         if needed and _is_beside(state.poles, number):
-            fewer = _refitted(state, fewer.poles)
+            blocks = [with_best_law(block, fewer.poles) for block in state.blocks]
+            fewer = Fitted.of(blocks, fewer.poles, state.prior).moved()
             needed = state.saves(fewer) > _limit(state.blocks, chance)
         if needed:
             number += 1
         else:
             state, number = fewer, first
     return state
-
-
-def _refitted(state: Fitted, poles: Poles) -> Fitted:
-    """``state`` with these ``poles`` where they and the laws of the forces fit best."""
-    return Fitted.of([with_best_law(block, poles) for block in state.blocks], poles, state.prior).moved()
 
 
 def _without(state: Fitted, number: int, *, chance: float) -> tuple[Fitted, bool]:

@@ -488,15 +488,9 @@ def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> 
     poles = np.abs(fit.poles.frequency_hz - f) <= reach
     lines = problem.background[len(problem.background) - problem.n_lines :, near]
     lines = lines[(np.abs(lines) > HARDLY).any(axis=1)]
-    local = replace(
-        problem,
-        frequency_hz=problem.frequency_hz[near],
-        psd=problem.psd[:, near],
-        averages=problem.averages[:, near],
-        background=np.concatenate([background_columns(int(near.sum()), 2), lines]),
-        n_lines=len(lines),
-    )
-    return local, fit.poles.chosen(poles)
+    own = {name: getattr(problem, name)[..., near] for name in ("frequency_hz", "psd", "averages")}
+    background = np.concatenate([background_columns(int(near.sum()), 2), lines])
+    return replace(problem, **own, background=background, n_lines=len(lines)), fit.poles.chosen(poles)
 
 
 JOINT_FIT = MethodNumbers("5-identify-modal.toml", "joint_fit")
@@ -543,15 +537,9 @@ def _band(floor: Floor, first: int, last: int) -> Band:
         for end in (first, last - 1)
     )
     at = slice(max(0, first - below), min(n_bins, last + above))
-    part = replace(
-        floor,
-        frequency_hz=floor.frequency_hz[at],
-        psd=floor.psd[:, at],
-        averages=floor.averages[:, at],
-        cells=floor.cells[:, :, at],
-        whole=floor.whole[:, at],
-        strong=tuple(t for t in floor.strong if floor.frequency_hz[at][0] <= t[0] <= floor.frequency_hz[at][-1]),
-    )
+    own = {name: getattr(floor, name)[..., at] for name in ("frequency_hz", "psd", "averages", "cells", "whole")}
+    strong = tuple(t for t in floor.strong if floor.frequency_hz[at][0] <= t[0] <= floor.frequency_hz[at][-1])
+    part = replace(floor, **own, strong=strong)
     low = floor.frequency_hz[first] - 0.5 * floor.step_hz if first else -math.inf
     high = floor.frequency_hz[last] - 0.5 * floor.step_hz if last < n_bins else math.inf
     return Band(part, (float(low), float(high)), first, last)

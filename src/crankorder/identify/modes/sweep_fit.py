@@ -347,8 +347,7 @@ def shares_of(solved: Solved, number: int) -> Floats:
     """
     window = solved.window
     peak, zeta = solved.natural_hz[number], solved.damping[number]
-    at = np.array([peak])
-    basis = window.paths(solved.natural_hz, solved.damping, at)[0]
+    basis = window.paths(solved.natural_hz, solved.damping, np.array([peak]))[0]
     shares = np.zeros((len(window.orders), solved.left.shape[1]))
     for row, order in enumerate(window.orders):
         if window.sweep.passes(order, (1.0 - zeta) * peak, (1.0 + zeta) * peak):

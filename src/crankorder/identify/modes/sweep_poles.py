@@ -137,8 +137,7 @@ def _tiles(spectra: Sequence[SweepSpectrum]) -> list[tuple[float, float]]:
     if high <= low:
         return []
     count = min(NUMBERS.most_tiles, max(1, int(np.ceil(np.log(high / low) / NUMBERS.tile_share))))
-    edges = np.geomspace(low, high, count + 1).tolist()
-    return list(itertools.pairwise(edges))
+    return list(itertools.pairwise(np.geomspace(low, high, count + 1).tolist()))
 
 
 def _blur_hz(spectra: Sequence[SweepSpectrum], more: Sequence[float], low_hz: float, high_hz: float) -> float:
@@ -200,8 +199,7 @@ class _Search(NamedTuple):
             if trial is None:
                 break
             fit = trial
-        others = [pole for pole in poles if not ends[0] < pole[0] < ends[1]]
-        poles = others + fit.poles
+        poles = [pole for pole in poles if not ends[0] < pole[0] < ends[1]] + fit.poles
         return TileLooked(poles, shown, fit.bare if trial is None else None, tried, sent=starts.beyond)
 
     def _with_pole(self, fit: LocalFit, starts: Starts) -> LocalFit | None:
