@@ -232,14 +232,8 @@ def _evaluated(problem: _Problem, theta: Floats, like: _Fit | None = None) -> _F
     by_pole = np.einsum("ar,rjp,caj->rcjp", acting, bends, residue[:, :, 1:-1]).reshape(n_rows, n_channels, -1)
     turned = np.stack([by_mass, 1j * by_mass], axis=3).reshape(n_rows, n_channels, -1)
     free = np.concatenate([turned, by_pole @ problem.pole_root], axis=2)
-    return _Fit(
-        error=error[..., 0].T,
-        slope=fitted(problem.white @ free)[1].transpose(1, 0, 2),
-        model=residue.reshape(n_channels, -1) @ columns.T,
-        residue=residue,
-        prior=theta[2 * n_masses :],
-        path=(terms, bends),
-    )
+    slope, model = fitted(problem.white @ free)[1].transpose(1, 0, 2), residue.reshape(n_channels, -1) @ columns.T
+    return _Fit(error[..., 0].T, slope, model, residue, theta[2 * n_masses :], (terms, bends))
 
 
 def _fitting(columns: Complexes, white: Complexes) -> Callable[[Complexes], tuple[Complexes, Complexes]]:

@@ -220,7 +220,7 @@ class OnePoleMore(NamedTuple):
         parts = min(1 + len(solved.left) * len(natural_hz) // MOST_VALUES, len(natural_hz))
         if parts > 1:
             places = zip(np.array_split(natural_hz, parts), np.array_split(damping, parts), strict=True)
-            pieces = (vars(cls.of(solved, *some)).values() for some in places)
+            pieces = (cls.of(solved, *some) for some in places)
             return cls(*(np.concatenate(each) for each in zip(*pieces, strict=True)))
         window = solved.window
         answers = resonance(window.frequency_hz, natural_hz, damping)
