@@ -214,9 +214,8 @@ def vibration_verdict(place: Place, order: AgreedOrder, *, revs_per_cycle: int) 
     ``revs_per_cycle``: crank revolutions of an engine cycle, whose multiples combustion makes.
     """
     slip = _slip_words(place.slip_percent(order.order))
-    revs = ""
-    if order.needed_revs is not None and math.isfinite(order.needed_revs):
-        revs = f"; a recording of {math.ceil(order.needed_revs)} revolutions would tell"
+    needed = math.inf if order.needed_revs is None else order.needed_revs
+    revs = f"; a recording of {math.ceil(needed)} revolutions would tell" if math.isfinite(needed) else ""
     if place.line != "N*fs":
         undecided = f" Whether it slips is not decided{revs}." if order.lock == "undecided" else ""
         text = f"Order {order.order:.4g} may be {DAMAGED[place.line]} of {place.name}: {slip}.{undecided}"

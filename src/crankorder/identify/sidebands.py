@@ -429,9 +429,8 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
                 break
             within += _within(line, given, speeds=max(len(item.amplitude) for _, item in beside))
             most = max(given, key=lambda part: float(np.sum(part.amplitude)))
-            evidence = (
-                f"no larger in most channels than what a swing of the shaft gives it beside order {most.carrier:g}"
-            )
+            beside_it = f"beside order {most.carrier:g}"
+            evidence = f"no larger in most channels than what a swing of the shaft gives it {beside_it}"
             of_order[line.channel, agreed.order] = replace(BY_A_SWING, evidence=evidence)
         # an order is one thing in all channels
         causes |= of_order if 2 * within >= len(agreed.lines) else {}

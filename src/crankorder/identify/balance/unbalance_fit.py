@@ -161,8 +161,7 @@ def _fitted(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit) -> K
     fewer = modes_with_room(modal, axes=len(plain.axes) + 1, top_hz=top_hz, rows=rows)
     if "RY" not in shaker.forces.axes or fewer is None or (fewer < n_modes and fit.is_sound):
         return fit.widened()
-    others = measured.without(measured.order_of_row == 1)
-    if _rolls(others, shaker, modal, n_modes=fewer):
+    if _rolls(measured.without(measured.order_of_row == 1), shaker, modal, n_modes=fewer):
         return quiet_fit(measured, shaker.forces, modal, n_modes=fewer).widened()
     if _rolls(measured, shaker, modal, n_modes=fewer):
         raise _Refused(

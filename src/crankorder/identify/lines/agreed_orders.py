@@ -153,9 +153,8 @@ def orders_agreed(
     source = speed_source([*frames, order_map])
     test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses", followed)
     last = order_map["order"].values[-1] + 0.5 * test.resolution  # of a line beyond only its skirt is seen
-    parted = [
-        unnamed for group in _groups([line for line in lines if line.order < last]) for unnamed in _agreed(group, test)
-    ]
+    groups = _groups([line for line in lines if line.order < last])
+    parted = [unnamed for group in groups for unnamed in _agreed(group, test)]
     orders = [unnamed.number.order for unnamed in parted]
     distinct = [  # close lines, to which another group has led already, count once
         unnamed

@@ -127,9 +127,8 @@ def slow_flags(
     asks = "record longer at a held speed, for longer frames ([orders] revs_per_frame)"
     if longest > revs and not any_swept(recordings):
         asks = f"[orders] revs_per_frame = {longest:g} in a recipe tells those from {LOWEST_BINS / longest:.2g} on"
-    what = (
-        f"below order {LOWEST_BINS / revs:.2g} stands a slow line or a drift, of which frames of {revs:g} revolutions"
-    )
+    short = f"frames of {revs:g} revolutions"
+    what = f"below order {LOWEST_BINS / revs:.2g} stands a slow line or a drift, of which {short}"
     return [{"recording": "all", "flag": "slow_lines", "severity": "info", "detail": f"{what} tell no order: {asks}"}]
 
 

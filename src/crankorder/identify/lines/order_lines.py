@@ -156,8 +156,7 @@ def _stronger(
 def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) -> OrderLine | None:
     """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
     chance, n_speeds, doubts = search.false_alarm_probability, len(search.speed), list[Doubt]()
-    alone = len(seen) >= needed or search.is_swept
-    together = seen if alone else _seen_together(search, channel, peak)
+    together = seen if len(seen) >= needed or search.is_swept else _seen_together(search, channel, peak)
     if len(together) >= needed and not (len(seen) < needed and _has_fixed_frequency(search, channel, peak, seen)):
         seen = together
     elif len(seen) < needed:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 import xarray as xr
@@ -146,12 +146,10 @@ def _left(
 
 def _known(fitted: list[Fitted], swept: SweepFits) -> tuple[Poles, Floats]:
     """Poles of all bands that are neither tones nor those of ``swept``, and covariance of their (f_1, ζ_1, f_2, …)."""
-    parts, own = list[Floats](), NO_POLES
-    for local in fitted:
-        parts.append(covariance_among(local.covariance, np.flatnonzero(local.own)))
-        own = own.joined(local.own_modes)
-    kept = np.flatnonzero(unlike(own, side_by_side(parts), swept.poles))
-    return own.chosen(kept), covariance_among(side_by_side(parts), kept)
+    covariance = side_by_side([covariance_among(local.covariance, np.flatnonzero(local.own)) for local in fitted])
+    own = reduce(Poles.joined, (local.own_modes for local in fitted), NO_POLES)
+    kept = np.flatnonzero(unlike(own, covariance, swept.poles))
+    return own.chosen(kept), covariance_among(covariance, kept)
 
 
 @dataclass(frozen=True, eq=False)

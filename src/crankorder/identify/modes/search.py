@@ -219,8 +219,7 @@ def problem_of(floor: Floor, degree: int) -> Problem:
         averages = 1.0 / (1.0 / floor.averages + (NUMBERS.shadow_share * highest / level) ** 2 + (unsure / level) ** 2)
     averages = np.where(known, averages, 0.0)
     lines = line_columns(floor)
-    smooth = background_columns(len(floor.frequency_hz), degree)
-    background = np.ascontiguousarray(np.concatenate([smooth, lines]))
+    background = np.ascontiguousarray(np.concatenate([background_columns(len(floor.frequency_hz), degree), lines]))
     return Problem(floor.frequency_hz, floor.psd, averages, floor.seen, background, n_lines=len(lines))
 
 

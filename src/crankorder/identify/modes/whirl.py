@@ -351,9 +351,8 @@ def on_grid(frequency_hz: float, reach_hz: float, still: tuple[float, ...], floo
     multiple = round(frequency_hz / step) if step else 0
     if not multiple or reach_hz > DOUBT_NUMBERS.grid_reach * step or abs(frequency_hz - multiple * step) > reach_hz:
         return ""
-    return (
-        f"on the grid of the tones: {multiple} times {step:.4g} Hz, the step of most of them, and hardly wider than one"
-    )
+    times = f"{multiple} times {step:.4g} Hz"
+    return f"on the grid of the tones: {times}, the step of most of them, and hardly wider than one"
 
 
 def common_step(tones_hz: tuple[float, ...], near_hz: float) -> float:
@@ -394,9 +393,8 @@ def of_lines_within(problem: Problem, fit: SurfaceFit, number: int, floor: Floor
     own, lines = float(own_part[channel, within].sum()), float(np.nansum(np.maximum(over[on_line], 0.0)))
     if lines <= DOUBT_NUMBERS.lines_power_ratio * own:
         return ""
-    return (
-        f"lines within its width hold {lines / own:.2g} times its power: at one speed their modulation looks the same"
-    )
+    times = f"{lines / own:.2g} times its power"
+    return f"lines within its width hold {times}: at one speed their modulation looks the same"
 
 
 def of_the_air(modes: tuple[Mode, ...], campbell: xr.Dataset) -> tuple[Mode, ...]:
