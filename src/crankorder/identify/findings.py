@@ -399,19 +399,14 @@ def mode_records(modal: ModalFit, causes: Causes, meetings: Sequence[CrossingFin
 
 def _mode_record(mode: Mode, cause: Cause, meetings: Sequence[CrossingFinding]) -> ModeFinding:
     excites = {met.order for met in meetings if met.excited and met.mode_hz == mode.frequency_hz}
+    kept = ("frequency_hz", "damping_ratio", "channels", "evidence", "prominence_db", "undecided", "lines_there_hz")
     return ModeFinding(
-        frequency_hz=mode.frequency_hz,
+        **{key: getattr(mode, key) for key in kept},
         frequency_hz_ci95=mode.frequency_ends,
-        damping_ratio=mode.damping_ratio,
         damping_ratio_ci95=mode.damping_ends,
-        channels=mode.channels,
-        evidence=mode.evidence,
-        prominence_db=mode.prominence_db,
         reached_by_orders=tuple(sorted({*mode.reached_by, *excites})),
-        undecided=mode.undecided,
         explained_by=cause.text,
         causes=cause.kinds,
-        lines_there_hz=mode.lines_there_hz,
     )
 
 

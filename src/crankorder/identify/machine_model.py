@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -55,16 +56,16 @@ class MachineModel:
     limits: tuple[Limit, ...] = ()
     rotor_kg: float | None = None
     service_rpm: float | None = None
-    known_bearing_orders: dict[tuple[str, str], float] = field(init=False)
 
     @property
     def has_pistons(self) -> bool:
         """Whether it is a piston engine, of four or of two strokes."""
         return self.revs_per_cycle == 2 or self.two_stroke or self.engine is not None
 
-    def __post_init__(self) -> None:
-        orders = {(b.name, line): order for b in self.bearings for line, order in bearing_orders(b).items()}
-        object.__setattr__(self, "known_bearing_orders", orders)
+    @cached_property
+    def known_bearing_orders(self) -> dict[tuple[str, str], float]:
+        """Orders of the lines of its bearings, by name and line."""
+        return {(b.name, line): order for b in self.bearings for line, order in bearing_orders(b).items()}
 
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "stated_parts")

@@ -89,7 +89,8 @@ def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings
 
     ``settings``: the false-alarm level, the dampings of modes, and the confidence with which one is excluded.
     """
-    spectra = spectra_of([tracks for tracks in followed if _turns_surely(tracks)], fewest=ROW_NUMBERS.fewest_samples)
+    sure = [tracks for tracks in followed if _turns_surely(tracks)]
+    spectra = tuple(spectra_of(sure, fewest=ROW_NUMBERS.fewest_samples))
     highest = max((order for sweep in spectra for order in sweep.orders), default=0.0)
     if not highest:
         return SweepFits()
