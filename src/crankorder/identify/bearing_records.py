@@ -72,8 +72,7 @@ def bearing_records(
                 shafts[key] = shaft
         for line in found:
             records.append(_envelope_record(line, found, envelope, shafts.get((line.place.name, line.speed)), level))
-    beside_races = (_beside_races(record, records) for record in records)
-    return tuple(record for record in beside_races if record is not None)
+    return tuple(filter(None, (_beside_races(record, records) for record in records)))
 
 
 def _beside_races(record: BearingFinding, records: Sequence[BearingFinding]) -> BearingFinding | None:
@@ -114,9 +113,7 @@ def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int
     multiples = [n for n in (2, 3, 4) if any((part, n) in parts_at([part], order).near for order in orders)]
     return _record(
         place,
-        best.order,
-        best.order_error,
-        best.degrees_of_freedom,
+        (best.order, best.order_error, best.degrees_of_freedom),
         shaft=None,
         seen_in="vibration",
         amplitude=level.amplitude,
@@ -133,13 +130,13 @@ def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int
 
 
 def _record(
-    place: Place, order: float, error: float, freedom: float, shaft: ShaftSpeed | None, judged: Judged, **seen: Any
+    place: Place, told: tuple[float, float, float], shaft: ShaftSpeed | None, judged: Judged, **seen: Any
 ) -> BearingFinding:
-    """Finding of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``, as it was ``seen``.
+    """Finding of a line as it was ``seen``, of which order, standard error and degrees of freedom of that are ``told``.
 
     ``judged`` is the verdict on it. Slip is that beside the true speed of the ``shaft``, where it was read.
     """
-    half = error * half_width(freedom)
+    order, half = told[0], told[1] * half_width(told[2])
     factor, factor_error = (shaft.factor, shaft.error) if shaft is not None else (1.0, 0.0)
     slip = place.slip_percent(order / factor)
     half_slip = 100.0 / place.expected * math.hypot(half, Z95 * factor_error * order)
@@ -179,9 +176,7 @@ def _envelope_record(
     )
     return _record(
         line.place,
-        line.order,
-        line.order_error,
-        line.freedom,
+        (line.order, line.order_error, line.freedom),
         shaft,
         seen_in="envelope",
         amplitude=line.amplitude,
@@ -219,9 +214,8 @@ def vibration_verdict(place: Place, order: AgreedOrder, *, revs_per_cycle: int) 
     ``revs_per_cycle``: crank revolutions of an engine cycle, whose multiples combustion makes.
     """
     slip = _slip_words(place.slip_percent(order.order))
-    revs = ""
-    if order.needed_revs is not None and math.isfinite(order.needed_revs):
-        revs = f"; a recording of {math.ceil(order.needed_revs)} revolutions would tell"
+    needed = math.inf if order.needed_revs is None else order.needed_revs
+    revs = f"; a recording of {math.ceil(needed)} revolutions would tell" if math.isfinite(needed) else ""
     if place.line != "N*fs":
         undecided = f" Whether it slips is not decided{revs}." if order.lock == "undecided" else ""
         text = f"Order {order.order:.4g} may be {DAMAGED[place.line]} of {place.name}: {slip}.{undecided}"
@@ -260,9 +254,7 @@ def races_words(races: list[str], struck: list[str]) -> str:
 
 
 def _damage(place: Place) -> str:
-    if place.line == "N*fs":
-        return "strikes of every rolling element"
-    return f"damage of {DAMAGED[place.line]}"
+    return "strikes of every rolling element" if place.line == "N*fs" else f"damage of {DAMAGED[place.line]}"
 
 
 def _slip_words(slip_percent: float) -> str:
@@ -344,9 +336,8 @@ def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
         return f"{damaged}."
     if not rivals:
         first, *others = ranked.candidates
-        more = f"{first.level_db - others[0].level_db:.0f} dB more than {others[0].place.title}" if others else ""
-        margin = f", {more}" if others else ""
-        return f"{damaged}; its harmonics stand {own.level_db:.0f} dB over the floor{margin}."
+        more = f", {first.level_db - others[0].level_db:.0f} dB more than {others[0].place.title}" if others else ""
+        return f"{damaged}; its harmonics stand {own.level_db:.0f} dB over the floor{more}."
     levels = ", ".join(f"{rival.place.title} {rival.level_db:.0f} dB" for rival in (own, *rivals))
     levels = f"is not told (harmonics over the floor: {levels})"
     strikes = f"Strikes at {place.title} of {place.name}, {slip}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -163,7 +163,7 @@ def crossings(
         if all(abs(order - own.order) > NUMBERS.same_stated_share * order for own in orders)
         for number, fit, whirl in _met_by(order, modal)
     ]
-    return tuple(sorted(_decided(met) + unmeasured, key=lambda met: (met.finding.rpm, met.finding.order)))
+    return tuple(sorted([*_decided(met), *unmeasured], key=lambda met: (met.finding.rpm, met.finding.order)))
 
 
 def _met_by(order: float, modal: ModalFit) -> list[tuple[int, ModalFit, Whirl | None]]:
@@ -345,12 +345,11 @@ def _by_residue(response: OrderResponse, number: int, modal: ModalFit) -> list[S
     return [Seen(response.channel, float(fdtrc(2.0, float(response.degrees_of_freedom), 0.5 * squared)))]
 
 
-def _decided(met: list[tuple[Crossing, list[Seen]]]) -> list[Crossing]:
+def _decided(met: list[tuple[Crossing, list[Seen]]]) -> Iterator[Crossing]:
     """Crossings of ``met``, those called excited of which what was seen there says so."""
     of_met = [[each.chance for each in seen] if crossing.finding.in_range else [] for crossing, seen in met]
     chances = np.array([simes(np.array(of_one)) if of_one else np.nan for of_one in of_met])
     excited = claimed(chances, q=NUMBERS.false_discovery_rate)
-    decided = []
     for (crossing, seen), chance, sure in zip(met, chances.tolist(), excited.tolist(), strict=True):
         finding = replace(crossing.finding, chance=finite(chance))
         if sure:
@@ -358,5 +357,4 @@ def _decided(met: list[tuple[Crossing, list[Seen]]]) -> list[Crossing]:
             channels = tuple(sorted(shows | {min(seen, key=lambda each: each.chance).channel}))
             evidence = f"{finding.evidence}; chance without the mode {chance:.1g}"
             finding = replace(finding, verdict="excited", excited=True, channels=channels, evidence=evidence)
-        decided.append(replace(crossing, finding=finding))
-    return decided
+        yield replace(crossing, finding=finding)

@@ -34,8 +34,7 @@ SHOWN_AT = {"BSF": 2.0}
 """Multiple of a line at which its damage shows, where not once: a rolling element strikes both races in a turn."""
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """One line of one bearing: its order in pure rolling as it shows, and from which to which order it is looked for.
 
     ``shaft_order`` and ``cage_order`` (None where the cage's is not known) are what its sidebands are apart by.
@@ -273,8 +272,7 @@ def _looks_in(envelope: xr.Dataset) -> dict[Comb, Look]:
     """What ``envelope`` holds of the bands that serve its combs; nothing where none were looked for."""
     if "comb_ratio" not in envelope:
         return {}
-    order = envelope["order"].values
-    bins = np.round(envelope["look"].values / order[1]).astype(np.int64)
+    bins = np.round(envelope["look"].values / envelope["order"].values[1]).astype(np.int64)
     looks = {}
     for number, comb in enumerate(combs_in(envelope)):
         ratio, raw, amplitude = (np.zeros(envelope["amplitude"].shape) for _ in range(3))
@@ -485,8 +483,7 @@ def _stands(spectra: Spectra, ratio: Floats, order: float, channel: int, speed: 
 CANDIDATE_NUMBERS = MethodNumbers("5-identify-bearings.toml", "candidates")
 
 
-@dataclass(frozen=True)
-class Candidate:
+class Candidate(NamedTuple):
     """A part that may be struck: at which ``order``, and the mean level in dB of the lines it would make there."""
 
     place: Place
@@ -494,8 +491,7 @@ class Candidate:
     level_db: float
 
 
-@dataclass(frozen=True)
-class Ranking:
+class Ranking(NamedTuple):
     """Parts of one bearing by level, highest first."""
 
     candidates: tuple[Candidate, ...]

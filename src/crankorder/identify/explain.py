@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,8 +57,7 @@ _PROOF: dict[Lock, str] = {
 }
 
 
-@dataclass(frozen=True)
-class Causes:
+class Causes(NamedTuple):
     """One cause for every line: ``orders`` by channel and AgreedOrder.order, ``modes`` and ``tones`` as in ModalFit."""
 
     orders: LineCauses
@@ -99,8 +99,7 @@ class _Test:
     of_cycle: dict[float, float | None]
 
 
-@dataclass(frozen=True)
-class _Line:
+class _Line(NamedTuple):
     """What the rules know of one line: ``of_cycle`` is the multiple of the cycle's order that it is or may be, or None.
 
     ``at`` are the stated parts there; ``in_cylinder``: whether its channel is the pressure in a cylinder.
@@ -164,7 +163,7 @@ def explained(
     causes |= explain_families(orders, causes, of_cycle, spacings=spacings, modes_hz=modes_hz, of_swing=beside.of_swing)
     rpm = _one_speed(orders)
     modes = tuple(_of_mode(mode, races, rpm) for mode in modal.modes)
-    return Causes(causes, modes, _explained_tones(modal.tones, test, rpm, beside.known, settings))
+    return Causes(causes, modes, tuple(_explained_tones(modal.tones, test, rpm, beside.known, settings)))
 
 
 def _electric(
@@ -376,7 +375,7 @@ def _one_speed(orders: Sequence[AgreedOrder]) -> float | None:
 
 def _explained_tones(
     tones: tuple[Tone, ...], test: _Test, rpm: float | None, known: Sequence[LineSeen], settings: IdentifySettings
-) -> tuple[Cause, ...]:
+) -> Iterator[Cause]:
     """Mains, gears, orders that no speed tells from tones, harmonics of races, sidebands; the rest are tones.
 
     ``rpm``: of a ``test`` at one speed, else None; ``known``: lines of the motor; ``settings``: the mains frequencies.
@@ -388,7 +387,6 @@ def _explained_tones(
     sides, highest = [not on for on in _on_one_grid(places, errors)], max(places, default=1.0)
     of = {band.at: band for band in sidebands(places, errors, sizes, spacings=mains, highest=highest, sides=sides)}
     supply = supply_told([(tone.frequency_hz, 0.0) for tone in tones if tone.kind == "mains"], settings=settings)
-    causes = []
     for number, tone in enumerate(tones):
         band = of.get(number)
         is_mains = tone.kind == "mains"
@@ -405,8 +403,7 @@ def _explained_tones(
                 error += TONES.speed_spread_share * order / NUMBERS.same_sigmas
                 at = parts_at(test.machine.gears, AgreedOrder(order, error, np.inf, "undecided", None, ()))
                 cause = _stated(at, "gear mesh", tone.evidence) or cause
-        causes.append(cause)
-    return tuple(causes)
+        yield cause
 
 
 def _tone_cause(tone: Tone, known: Sequence[LineSeen], supply_hz: float | None, settings: IdentifySettings) -> Cause:

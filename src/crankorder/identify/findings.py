@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -81,8 +82,7 @@ SEARCHES = {"floor": "the floor", "orders": "orders over the speeds", "sweeps": 
 IN_DOUBT = "the speed is in doubt"
 
 
-@dataclass(frozen=True, eq=False)
-class Measured:
+class Measured(NamedTuple):
     """What the stages before made of a test, to be explained.
 
     ``order_map`` (OrderMap) and ``campbell`` (CampbellMap) are its maps, without speeds where none is known; ``frames``
@@ -119,8 +119,7 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
     folds = shown_aliases(order_map, settings=settings)
     in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
     rows = {(line.channel, agreed.order): line for agreed in orders for line in agreed.lines}
-    swung = swing_sidebands(orders, frames)
-    beside = Beside(in_cylinder, folds, lines.known, swung, lines.longest_rev, rows)
+    beside = Beside(in_cylinder, folds, lines.known, swing_sidebands(orders, frames), lines.longest_rev, rows)
     causes = explained(in_map, modal, bearings, sources=sources, quantity=quantity, settings=asked, beside=beside)
     modal = with_neighbours_named(modal, in_map, causes)
 
@@ -129,7 +128,7 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
     moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]
     met = crossings(moving, modal, speed_rpm=tested, settings=asked, stated=stated)
     speeds = speeds_to_avoid(met, moving, modal, speed_rpm=tested, unit=unit, settings=asked, sweep_rpm_per_s=rate)
-    meetings = as_avoided(met, speeds.avoid)
+    meetings = tuple(as_avoided(met, speeds.avoid))
     speeds = speeds if doubt is None else without_free(speeds)
 
     balance, reason = unbalance_fit(order_map, orders, modal, sources=sources, followed=followed)
@@ -156,7 +155,7 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
         open_bands=speeds.open,
         bearings=bearings,
         motor=lines.motor,
-        lines=line_records(records, modal, causes, channels=list(unit)),
+        lines=tuple(line_records(records, modal, causes, channels=list(unit))),
         unexplained_energy_fraction=unexplained,
         energy=_with_share_above(energy, levels),
         levels=levels,
@@ -185,8 +184,7 @@ def _with_share_above(energy: Energy, levels: Sequence[Level]) -> Energy:
     return replace(energy, channels=channels)
 
 
-@dataclass(frozen=True)
-class _Lines:
+class _Lines(NamedTuple):
     """Orders as the map shows them (``in_map``) and with the amplitudes of their tracks; modes and tones.
 
     ``known`` lines of the motor and the mains; the ``motor``; why the speed is in ``doubt``, or None; revolutions of
@@ -212,18 +210,18 @@ def _lines(measured: Measured, doubt: str | None, motor: Motor | None, settings:
     by_shaft = doubt is None and speed_source([order_map]) != "stated"
     seen_motor = None if motor is None else motor_seen(motor, held, by_shaft=by_shaft, settings=asked)
     doubt = doubt or (seen_motor.speed_doubt if seen_motor else None)
-    seen = (seen_motor.lines if seen_motor else ()) or mains_seen(held, settings=asked)
+    seen = (seen_motor.lines if seen_motor else ()) or tuple(mains_seen(held, settings=asked))
     in_channels = order_lines(order_map, settings=asked, orders=settings.orders, frames=frames)
     agreed = orders_agreed(in_channels, frames=frames, order_map=order_map, settings=asked, followed=followed)
     numbered = with_followed(numbered_as_followed(agreed, followed), followed, order_map)
-    in_map = unless_sidebands(numbered, order_map, frames)
+    in_map = tuple(unless_sidebands(numbered, order_map, frames))
     fitted = modal_fit(measured.campbell, order_map, in_map, settings=asked, followed=followed, swept=measured.swept)
     known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, fitted, followed, order_map)
     modal = with_tones_settled(in_map, modal, held, known, settings=asked)
     in_map = in_map if doubt is None else undecided_orders(in_map)
     reader = TrackReader(order_map, frames=frames, followed=followed, fixed=fixed_lines(modal.tones))
-    orders = with_track_rows(in_map, reader, settings=settings.orders)
+    orders = tuple(with_track_rows(in_map, reader, settings=settings.orders))
     longest = max((recording.span_rev for recording in held), default=np.inf)
     record = None if seen_motor is None else seen_motor.record
     return _Lines(in_map, orders, modal, known, record, doubt, longest)
@@ -255,9 +253,8 @@ def speed_doubt(flags: Iterable[QualityFlag]) -> str | None:
     return f"{doubts[0]['detail']} ({names[0]}{more})"
 
 
-def _search_flags(left: Sequence[Unsearched]) -> list[QualityFlag]:
+def _search_flags(left: Sequence[Unsearched]) -> Iterator[QualityFlag]:
     """That natural frequencies may be missing where searches have ``left`` some."""
-    flags: list[QualityFlag] = []
     for by, words in SEARCHES.items():
         ends = [(band.low_hz, band.high_hz) for band in left if band.by == by]
         if ends:
@@ -266,8 +263,7 @@ def _search_flags(left: Sequence[Unsearched]) -> list[QualityFlag]:
                 f"the search for natural frequencies by {words} stopped at its bound: between {low:.4g} and {high:.4g} "
                 "Hz some may be missing; fewer recordings in one test, or shorter ones, bring it to its end"
             )
-            flags.append({"recording": "all", "flag": "search_stopped", "severity": "suspect", "detail": detail})
-    return flags
+            yield {"recording": "all", "flag": "search_stopped", "severity": "suspect", "detail": detail}
 
 
 def undecided_orders(orders: tuple[AgreedOrder, ...]) -> tuple[AgreedOrder, ...]:
@@ -403,19 +399,14 @@ def mode_records(modal: ModalFit, causes: Causes, meetings: Sequence[CrossingFin
 
 def _mode_record(mode: Mode, cause: Cause, meetings: Sequence[CrossingFinding]) -> ModeFinding:
     excites = {met.order for met in meetings if met.excited and met.mode_hz == mode.frequency_hz}
+    kept = ("frequency_hz", "damping_ratio", "channels", "evidence", "prominence_db", "undecided", "lines_there_hz")
     return ModeFinding(
-        frequency_hz=mode.frequency_hz,
+        **{key: getattr(mode, key) for key in kept},
         frequency_hz_ci95=mode.frequency_ends,
-        damping_ratio=mode.damping_ratio,
         damping_ratio_ci95=mode.damping_ends,
-        channels=mode.channels,
-        evidence=mode.evidence,
-        prominence_db=mode.prominence_db,
         reached_by_orders=tuple(sorted({*mode.reached_by, *excites})),
-        undecided=mode.undecided,
         explained_by=cause.text,
         causes=cause.kinds,
-        lines_there_hz=mode.lines_there_hz,
     )
 
 
@@ -457,18 +448,18 @@ def _tone_record(tone: Tone, cause: Cause) -> ModeFinding:
 
 def line_records(
     orders: Sequence[OrderFinding], modal: ModalFit, causes: Causes, *, channels: list[str]
-) -> tuple[LineFinding, ...]:
+) -> Iterator[LineFinding]:
     """Every line above the false-alarm level: records of ``orders`` first, then the tones and modes of ``modal``.
 
     ``causes`` explain them; ``channels`` are the names of all, in the sequence of the map.
     """
     kept = ("channel", "order", "order_ci95", "explained_by", "causes", "amplitude", "amplitude_ci95")
-    records = [LineFinding(**{key: getattr(record, key) for key in kept}) for record in orders]
+    yield from (LineFinding(**{key: getattr(record, key) for key in kept}) for record in orders)
     fixed: list[Tone | Mode] = [*modal.tones, *modal.modes]
     for line, cause in zip(fixed, (*causes.tones, *causes.modes), strict=True):
         for channel in line.amplitude if isinstance(line, Tone) else line.channels:
             size, ends = _size_of(line, channel, channels.index(channel), modal)
-            record = LineFinding(
+            yield LineFinding(
                 channel=channel,
                 frequency_hz=line.frequency_hz,
                 frequency_hz_ci95=line.frequency_ends,
@@ -477,8 +468,6 @@ def line_records(
                 amplitude=size,
                 amplitude_ci95=ends,
             )
-            records.append(record)
-    return tuple(records)
 
 
 def _size_of(line: Tone | Mode, channel: str, number: int, modal: ModalFit) -> tuple[float | None, Ends | None]:

@@ -289,8 +289,7 @@ class UnseenBound:
     amplification: Floats
 
 
-@dataclass(frozen=True)
-class Unsearched:
+class Unsearched(NamedTuple):
     """Frequencies, from ``low_hz`` to ``high_hz``, at which a search ``by`` what tells modes stopped at its bound."""
 
     by: Literal["floor", "orders", "sweeps"]
@@ -328,8 +327,7 @@ class ModalFit:
         return float(self.frequency_hz[1] - self.frequency_hz[0]) if len(self.frequency_hz) > 1 else 0.0
 
 
-@dataclass(frozen=True)
-class Seen:
+class Seen(NamedTuple):
     """What one channel says of one crossing: ``chance`` that an order without the mode looks like that.
 
     ``ratio`` with its interval is that of the amplitude at ``at_rpm`` to the trend beside; None where there is none.
@@ -370,8 +368,7 @@ class SpeedVerdicts:
     open: tuple[OpenBand, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class SweepFits:
+class SweepFits(NamedTuple):
     """What the signals of all sweeps of a test tell of its modes, place by place of frequency.
 
     ``hiding`` is what a mode that they do not show could add to each order; ``shown_orders`` are multiples of the cycle

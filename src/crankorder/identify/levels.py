@@ -220,12 +220,8 @@ def graded(balance: Balance | None, sources: MachineModel, fastest_rpm: float) -
         return balance
     per_gmm = 1e-3 / sources.rotor_kg * 2.0 * math.pi * speed / 60.0  # g mm / kg is µm, times 1/s is µm/s
     ends = known(balance.residual_rotating_gmm_ci95)
-    return replace(
-        balance,
-        grade_mm_s=balance.residual_rotating_gmm * per_gmm,
-        grade_mm_s_ci95=None if ends is None else (ends[0] * per_gmm, ends[1] * per_gmm),
-        grade_speed_rpm=speed,
-    )
+    grade, ci95 = balance.residual_rotating_gmm * per_gmm, ends and (ends[0] * per_gmm, ends[1] * per_gmm)
+    return replace(balance, grade_mm_s=grade, grade_mm_s_ci95=ci95, grade_speed_rpm=speed)
 
 
 def _grade_verdict(limit: Limit, balance: Balance | None) -> LimitVerdict:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -20,8 +21,7 @@ from crankorder.orders.intervals import half_width
 from crankorder.settings import MethodNumbers
 
 
-@dataclass(frozen=True)
-class Limit:
+class Limit(NamedTuple):
     """A limit of the manifest: ``value_si`` in SI units; a balance grade has no band."""
 
     quantity: str
@@ -56,16 +56,16 @@ class MachineModel:
     limits: tuple[Limit, ...] = ()
     rotor_kg: float | None = None
     service_rpm: float | None = None
-    known_bearing_orders: dict[tuple[str, str], float] = field(init=False)
 
     @property
     def has_pistons(self) -> bool:
         """Whether it is a piston engine, of four or of two strokes."""
         return self.revs_per_cycle == 2 or self.two_stroke or self.engine is not None
 
-    def __post_init__(self) -> None:
-        orders = {(b.name, line): order for b in self.bearings for line, order in bearing_orders(b).items()}
-        object.__setattr__(self, "known_bearing_orders", orders)
+    @cached_property
+    def known_bearing_orders(self) -> dict[tuple[str, str], float]:
+        """Orders of the lines of its bearings, by name and line."""
+        return {(b.name, line): order for b in self.bearings for line, order in bearing_orders(b).items()}
 
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "stated_parts")
@@ -88,8 +88,7 @@ class StatedPart:
     elements: int | None = None
 
 
-@dataclass(frozen=True)
-class PartsAt:
+class PartsAt(NamedTuple):
     """Parts at an order: ``near`` with the multiple that is there, nearest first; ``unparted``: see parts_at."""
 
     near: tuple[tuple[StatedPart, int], ...]
@@ -137,8 +136,7 @@ GAS_ORDERS = (0.5, 1.5, 2.5, 3.5)
 """Two or more of these half orders tell of gas in a four-stroke engine: nothing else makes its cycle felt so."""
 
 
-@dataclass(frozen=True)
-class CycleForce:
+class CycleForce(NamedTuple):
     """Peaks of one ``order`` at ``speed_rpm``: of the ``gas`` torque, the masses' ``torque`` (N·m) and ``force`` (N).
 
     ``lever_m`` is the length on which the force counts as a moment: that of crank and rod, as high as an engine stands

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -260,8 +260,7 @@ def line_of(order_map: xr.Dataset, channel: str, order: float, at: Ints, *, lock
     phases : whether to give the phasor
     """
     number = order_map["channel"].values.tolist().index(channel)
-    axis = order_map["order"].values
-    peak = int(np.argmin(np.abs(axis - order)))
+    peak = int(np.argmin(np.abs(order_map["order"].values - order)))
 
     def values(name: str, bins: Any = peak) -> Floats:
         table = order_map[name].transpose("channel", "speed", "order").values[number][at]
@@ -459,7 +458,7 @@ _LineKey = tuple[str, str, str, str]
 """Name of the bearing, line, where it is seen, channel."""
 
 
-def _bearing_trends(tests: Sequence[Tested], channels: Sequence[str]) -> list[Trend | None]:
+def _bearing_trends(tests: Sequence[Tested], channels: Sequence[str]) -> Iterator[Trend | None]:
     """Bearing lines that any run names: from the envelope maps where all runs have one, else from the findings."""
     lines: dict[_LineKey, float] = {}
     recorded: list[dict[_LineKey, tuple[float, float]]] = []
@@ -472,17 +471,16 @@ def _bearing_trends(tests: Sequence[Tested], channels: Sequence[str]) -> list[Tr
                 if ends := known(record.amplitude_ci95):
                     recorded[-1].setdefault(key, (record.size, error_of(record.size, ends)))
     maps = [test.maps["envelope_map"] for test in tests if "envelope_map" in test.maps]
-    trends, followed = [], set()
+    followed = set()
     for key, order in lines.items():
         name, line, seen_in, channel = key
         add = partial(trend_over, line=f"{name} {line}", order=order)
         if seen_in != "envelope":
             sizes, errors = np.array([of_run.get(key, (np.nan, np.nan)) for of_run in recorded]).T
-            trends.append(add(RunAmplitudes(sizes, errors), kind="bearing", channel=channel))
+            yield add(RunAmplitudes(sizes, errors), kind="bearing", channel=channel)
         elif len(maps) == len(tests) and (name, line) not in followed:
             followed.add((name, line))
-            trends.append(add(run_amplitudes(maps, order=order), kind="bearing, envelope"))
-    return trends
+            yield add(run_amplitudes(maps, order=order), kind="bearing, envelope")
 
 
 def run_amplitudes(envelopes: Sequence[xr.Dataset], *, order: float) -> RunAmplitudes:

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product, takewhile
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -25,8 +26,7 @@ from crankorder.settings import MethodNumbers
 NUMBERS = MethodNumbers("5-identify-explain.toml", "sidebands")
 
 
-@dataclass(frozen=True)
-class Sideband:
+class Sideband(NamedTuple):
     """Line ``at`` is one of ``carrier`` (positions in the lists given), ``multiple`` times ``spacing`` from it."""
 
     at: int
@@ -278,8 +278,7 @@ def _shafts(
             evidence += "; nothing stands at order 1, and no pulses prove the speed"
         harmonic = "" if multiple == 1 else f"harmonic {multiple} of "
         kind: CauseKind = "stated shaft" if speed_may_be_wrong else "another shaft"
-        cause = Cause(kind, evidence, {"harmonic": harmonic, "ratio": base})
-        shafts |= dict.fromkeys(free[at][1], cause)
+        shafts |= dict.fromkeys(free[at][1], Cause(kind, evidence, {"harmonic": harmonic, "ratio": base}))
     return shafts
 
 
@@ -430,17 +429,15 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
                 break
             within += _within(line, given, speeds=max(len(item.amplitude) for _, item in beside))
             most = max(given, key=lambda part: float(np.sum(part.amplitude)))
-            evidence = (
-                f"no larger in most channels than what a swing of the shaft gives it beside order {most.carrier:g}"
-            )
+            beside_it = f"beside order {most.carrier:g}"
+            evidence = f"no larger in most channels than what a swing of the shaft gives it {beside_it}"
             of_order[line.channel, agreed.order] = replace(BY_A_SWING, evidence=evidence)
         # an order is one thing in all channels
         causes |= of_order if 2 * within >= len(agreed.lines) else {}
     return causes
 
 
-@dataclass(frozen=True, eq=False)
-class _Given:
+class _Given(NamedTuple):
     """Largest ``amplitude`` (rows,) that the order ``carrier`` gives by a swing of the shaft.
 
     ``known`` (rows,): whether the speeds are close enough to tell how the structure responds.

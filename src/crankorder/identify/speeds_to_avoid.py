@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.special import ndtri
@@ -43,8 +43,7 @@ def _open(low: float, high: float, why: str, *, amplified: bool = False) -> Open
     return OpenBand(low_rpm=low, high_rpm=high, remark=why, amplified=amplified)
 
 
-@dataclass(frozen=True)
-class _Peak:
+class _Peak(NamedTuple):
     """Peak ``amplitude`` of an order in a channel with its 95 % interval: as recorded, or what it would be if held.
 
     ``response`` is the fit that knows the peak, if any does; its number is told where ``by_fit``.
@@ -56,8 +55,7 @@ class _Peak:
     by_fit: bool = False
 
 
-@dataclass(frozen=True)
-class Sizes:
+class Sizes(NamedTuple):
     """Largest amplitude of any order ``of_channel``, with the ``unit`` of each channel: those of one unit compare."""
 
     of_channel: Mapping[str, float]
@@ -133,13 +131,12 @@ def speeds_to_avoid(
     return SpeedVerdicts(avoid, free, rest)
 
 
-def as_avoided(found: Sequence[Crossing], avoid: Sequence[AvoidedSpeed]) -> tuple[CrossingFinding, ...]:
+def as_avoided(found: Sequence[Crossing], avoid: Sequence[AvoidedSpeed]) -> Iterator[CrossingFinding]:
     """Findings of ``found`` with the amplification that the speed to ``avoid`` states of the same meeting: its peak's.
 
     One meeting has one number, in the channel in which it is worst.
     """
     peaks = {(peak.order, peak.mode_hz): peak for peak in avoid if peak.amplification_ci95 and peak.amplification}
-    findings = []
     for finding in (crossing.finding for crossing in found):
         peak = peaks.get((finding.order, finding.mode_hz))
         if peak is not None and peak.amplification_ci95 is not None:
@@ -155,8 +152,7 @@ def as_avoided(found: Sequence[Crossing], avoid: Sequence[AvoidedSpeed]) -> tupl
                 channels=tuple(sorted({*finding.channels, peak.channel})),
                 evidence=words,
             )
-        findings.append(finding)
-    return tuple(findings)
+        yield finding
 
 
 def _range(peak: AvoidedSpeed) -> Ends:
@@ -259,28 +255,23 @@ def _fitted_peak(response: OrderResponse, rpm: float, rpm_range: Ends, modal: Mo
     return peak if half_width(peak.freedom) * peak.share <= 1.0 - 1.0 / NUMBERS.peak_within_ratio else None
 
 
-def _joined(met: list[AvoidedSpeed]) -> list[AvoidedSpeed]:
+def _joined(met: list[AvoidedSpeed]) -> Iterator[AvoidedSpeed]:
     """One speed to avoid of all crossings whose ranges overlap, named and ranked after the costliest."""
     met = sorted(met, key=lambda peak: _range(peak)[0])
     begins, ends = np.array([_range(peak) for peak in met]).reshape(-1, 2).T
     first = np.flatnonzero(begins > np.append(-np.inf, np.maximum.accumulate(ends))[:-1]).tolist()
-    joined = []
     for begin, end in pairwise([*first, len(met)]):
         by_cost = sorted(met[begin:end], key=lambda peak: -(peak.cost or 0.0))
-        speed = replace(
-            by_cost[0],
-            rpm_range=(float(begins[begin]), float(ends[begin:end].max())),
-            orders=tuple(peak.order for peak in by_cost),
-            modes_hz=tuple(peak.mode_hz for peak in by_cost),
-            reason=" and ".join(peak.reason for peak in by_cost),
-        )
-        joined.append(speed)
-    return joined
+        orders, modes_hz = zip(*((peak.order, peak.mode_hz) for peak in by_cost), strict=True)
+        rpm_range = float(begins[begin]), float(ends[begin:end].max())
+        reason = " and ".join(peak.reason for peak in by_cost)
+        yield replace(by_cost[0], rpm_range=rpm_range, orders=orders, modes_hz=modes_hz, reason=reason)
 
 
-def _by_modes(found: Sequence[Crossing], modal: ModalFit, largest: Sizes, settings: IdentifySettings) -> list[OpenBand]:
+def _by_modes(
+    found: Sequence[Crossing], modal: ModalFit, largest: Sizes, settings: IdentifySettings
+) -> Iterator[OpenBand]:
     """Speeds at which a known mode amplifies an order by more than is free, or may."""
-    bands: list[OpenBand] = []
     for crossing in found:
         finding, number, slower, named = crossing.finding, -1, 1.0, ""
         if crossing.whirl is None:
@@ -293,18 +284,17 @@ def _by_modes(found: Sequence[Crossing], modal: ModalFit, largest: Sizes, settin
             low, high = _amplifying(crossing.ends_rpm, settings.free_amplification)
             low, high = finding.rpm - slower * (finding.rpm - low), finding.rpm + slower * (high - finding.rpm)
             says = finding.verdict if finding.in_range else "beside the tested range, so that its flank may reach in"
-            bands.append(_open(low, high, f"{what}: {says}"))
+            yield _open(low, high, f"{what}: {says}")
         alike = [(fit.recording, largest.unit[fit.channel], fit.force.span_rpm) for fit in fits]
         for key in sorted(set(alike)):
             group = [fit for fit, its_key in zip(fits, alike, strict=True) if its_key == key]
             matters = EXCLUSION.matters_share * max(largest.of_channel.get(fit.channel, 0.0) for fit in group)
-            bands += _amplified(group, number, modal, what, matters=matters, settings=settings)
-    return bands
+            yield from _amplified(group, number, modal, what, matters=matters, settings=settings)
 
 
 def _amplified(
     group: list[OrderResponse], number: int, modal: ModalFit, what: str, *, matters: float, settings: IdentifySettings
-) -> list[OpenBand]:
+) -> Iterator[OpenBand]:
     """Speeds around the crossing at which mode ``number`` may amplify an order by more than is free.
 
     Amplitudes below ``matters`` do not count.
@@ -323,17 +313,13 @@ def _amplified(
     # where the mode itself is amplified less it carries the order without resonance: only what is sure counts there
     first, last = _amplifying((rpm * (1.0 - beside), rpm * (1.0 + beside)), factor)
     over = (least > factor) | ((most > factor) & (grid >= first) & (grid <= last))
-    if not over.any():
-        return []
     amplified = bool((least > factor).any())
     what += f": {'is' if amplified else 'may be'} amplified more than {factor:g} times"
-    bands = []
     for place, end_place in _runs(over):
         begin, end = float(grid[max(place - 1, 0)]), float(grid[min(end_place + 1, len(grid) - 1)])
         if begin <= rpm * (1.0 + beside) and end >= rpm * (1.0 - beside):
             begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
-        bands.append(_open(begin, end, what, amplified=amplified))
-    return bands
+        yield _open(begin, end, what, amplified=amplified)
 
 
 def _amplifying(rpm: tuple[float, float], factor: float) -> tuple[float, float]:
@@ -343,13 +329,14 @@ def _amplifying(rpm: tuple[float, float], factor: float) -> tuple[float, float]:
 
 def _by_unseen(
     orders: AgreedOrders, modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
-) -> list[OpenBand]:
+) -> Iterator[OpenBand]:
     """Speeds at which an order could be amplified by more than is free and nobody saw it.
 
     By a mode that was not seen; an order that only the spectra of sweeps show also where it meets one of ``modal``.
     """
     (low, high), factor = speed_rpm, settings.free_amplification
-    bands = list[OpenBand]() if orders else [_open(low, high, "no order stands out")]
+    if not orders:
+        yield _open(low, high, "no order stands out")
     measured = [agreed.order for agreed in orders]
     shown = [order for order in modal.shown_orders if not any(_is_order(order, other) for other in measured)]
     for order in (*measured, *shown):
@@ -358,16 +345,15 @@ def _by_unseen(
             name += ", which only the spectrum of the sweep shows,"
             for mode in modal.modes:
                 begin, end = (60.0 * hertz / order for hertz in mode.frequency_ends)
-                bands.append(_open(*_amplifying((begin, end), factor), f"{name} meets {mode.frequency_hz:.4g} Hz"))
+                yield _open(*_amplifying((begin, end), factor), f"{name} meets {mode.frequency_hz:.4g} Hz")
         elif bounds:
             speeds = [float(bound.speed_rpm[at]) for bound in bounds for at in (0, -1)]
             ends = (low, min(speeds)), (max(speeds), high)
             beside = [(begin, end) for begin, end in ends if end > begin * (1.0 + NUMBERS.same_speed_share)]
-            bands += [_open(begin, end, f"{name} was not measured there") for begin, end in beside]
+            yield from (_open(begin, end, f"{name} was not measured there") for begin, end in beside)
         else:
-            bands.append(_open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
-        bands += [band for bound in bounds for band in _between(bound, factor, name)]
-    return bands
+            yield _open(low, high, f"{name}: measured at too few speeds to tell a resonance between them")
+        yield from (band for bound in bounds for band in _between(bound, factor, name))
 
 
 def _is_order(order: float, other: float) -> bool:
@@ -486,12 +472,11 @@ def lone_peaks(
     return lone
 
 
-def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
+def _lone_peaks_of(line: OrderLine, factor: float) -> Iterator[tuple[int, float]]:
     """Places of ``line`` that tower over both sides, and how many times."""
     rank = np.argsort(line.speed_rpm, kind="stable")
     speed, size = line.speed_rpm[rank], line.amplitude[rank]
     least = size - Z95 * line.amplitude_error[rank] if line.ends is None else line.ends[rank, 0]
-    peaks = []
     for place in range(1, len(rank) - 1):
         first = min(int(np.searchsorted(speed, speed[place] * (1.0 - LONE_NUMBERS.around_share))), place - 1)
         end = np.searchsorted(speed, speed[place] * (1.0 + LONE_NUMBERS.around_share), side="right")
@@ -500,5 +485,4 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
             continue
         beside = max(float(np.median(size[first:place])), float(np.median(size[place + 1 : last])))
         if beside > 0.0 and least[place] >= factor * beside:
-            peaks.append((int(rank[place]), float(size[place]) / beside))
-    return peaks
+            yield int(rank[place]), float(size[place]) / beside

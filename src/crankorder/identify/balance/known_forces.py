@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,7 @@ BINS_WORTH = 0.5
 """Independent bins that a bin of a Hann window's spectrum is worth beside its neighbours."""
 
 
-@dataclass(frozen=True, eq=False)
-class OrderForces:
+class OrderForces(NamedTuple):
     """Forces and moments of the orders over ω²: ``known`` (axis, order) in kg·m (kg·m²), and per kg sought ``unit``.
 
     ``unit``: (mass, axis, order).
@@ -101,9 +101,7 @@ def modes_with_room(modal: ModalFit, *, axes: int, top_hz: float, rows: int) -> 
     """
     least = sum(mode.frequency_hz < NUMBERS.near_ratio * top_hz for mode in modal.modes)
     most = sum(mode.frequency_hz < NUMBERS.far_ratio * top_hz for mode in modal.modes)
-    if rows < rows_needed(least, axes=axes):
-        return None
-    return int(max(least, min(most, rows // (2 * axes) - 2)))
+    return None if rows < rows_needed(least, axes=axes) else int(max(least, min(most, rows // (2 * axes) - 2)))
 
 
 def rows_needed(n_modes: int, *, axes: int) -> int:
@@ -135,8 +133,7 @@ def quiet_fit(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *,
     return QuietFit(problem, theta, fit, tuple(sorted(odd)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+class _Fit(NamedTuple):
     """Left-over errors (channel, row) and their slopes (channel, row, parameter) over the errors; model; residues.
 
     ``path``: what :func:`_terms` made.
@@ -150,8 +147,7 @@ class _Fit:
     path: tuple[Complexes, Complexes]
 
 
-@dataclass(frozen=True, eq=False)
-class QuietFit:
+class QuietFit(NamedTuple):
     """Masses and path as the orders' own errors have them, without ``odd_speeds_rpm``, before a misfit widens them."""
 
     problem: _Problem
@@ -236,14 +232,8 @@ def _evaluated(problem: _Problem, theta: Floats, like: _Fit | None = None) -> _F
     by_pole = np.einsum("ar,rjp,caj->rcjp", acting, bends, residue[:, :, 1:-1]).reshape(n_rows, n_channels, -1)
     turned = np.stack([by_mass, 1j * by_mass], axis=3).reshape(n_rows, n_channels, -1)
     free = np.concatenate([turned, by_pole @ problem.pole_root], axis=2)
-    return _Fit(
-        error=error[..., 0].T,
-        slope=fitted(problem.white @ free)[1].transpose(1, 0, 2),
-        model=residue.reshape(n_channels, -1) @ columns.T,
-        residue=residue,
-        prior=theta[2 * n_masses :],
-        path=(terms, bends),
-    )
+    slope, model = fitted(problem.white @ free)[1].transpose(1, 0, 2), residue.reshape(n_channels, -1) @ columns.T
+    return _Fit(error[..., 0].T, slope, model, residue, theta[2 * n_masses :], (terms, bends))
 
 
 def _fitting(columns: Complexes, white: Complexes) -> Callable[[Complexes], tuple[Complexes, Complexes]]:
@@ -420,8 +410,7 @@ UNIT_RPM = 30.0 / np.pi
 """Speed at which ω is 1: forces there are forces over ω²."""
 
 
-@dataclass(frozen=True, eq=False)
-class KnownForces:
+class KnownForces(NamedTuple):
     """Orders of known force and orders whose masses are sought, with their forces.
 
     ``orders``: lowest first. ``sought``: (order, axis) of each mass sought; 1 kg of it makes the force

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -161,8 +161,7 @@ def _fitted(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit) -> K
     fewer = modes_with_room(modal, axes=len(plain.axes) + 1, top_hz=top_hz, rows=rows)
     if "RY" not in shaker.forces.axes or fewer is None or (fewer < n_modes and fit.is_sound):
         return fit.widened()
-    others = measured.without(measured.order_of_row == 1)
-    if _rolls(others, shaker, modal, n_modes=fewer):
+    if _rolls(measured.without(measured.order_of_row == 1), shaker, modal, n_modes=fewer):
         return quiet_fit(measured, shaker.forces, modal, n_modes=fewer).widened()
     if _rolls(measured, shaker, modal, n_modes=fewer):
         raise _Refused(
@@ -174,8 +173,7 @@ def _fitted(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit) -> K
 
 def _rolls(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit, *, n_modes: int) -> bool:
     """Whether the rolling moment's path explains more of ``measured`` than chance would."""
-    plain = shaker.forces.alone
-    without = quiet_fit(measured, plain, modal, n_modes=n_modes)
+    without = quiet_fit(measured, shaker.forces.alone, modal, n_modes=n_modes)
     gain, more = without.gain_by(quiet_fit(measured, shaker.forces, modal, n_modes=n_modes))
     return bool(gain > 1 + NUMBERS.rolls_sigmas * np.sqrt(2 * len(measured.channels) / more))
 
@@ -276,15 +274,6 @@ ROTOR_RADIUS_M = 1e-3
 """Radius at which the mass of a rotor's unbalance is counted: 1 kg there is 1000 g·mm."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Forces:
-    """Masses of one order in a ``split``, the share of the order that the paths ``missed``, and speeds that told."""
-
-    split: Split
-    missed: float
-    speeds: int
-
-
 def _by_stated_paths(
     order_map: xr.Dataset, lines: Sequence[float], *, engine: Engine | None, paths: tuple[StatedPath, ...]
 ) -> Balance:
@@ -309,12 +298,12 @@ def _by_stated_paths(
     if pistons and engine is not None and 2 in engine.shafts.every_order and 2 in measured.orders and "Z" in directions:
         parts.append((2, ("Z",)))
     fits = [_forces(measured, order, axes, paths, radius_m) for order, axes in parts]
-    split = _split_by_paths([forces.split for forces in fits], engine if pistons else None)
+    split, (_, missed, speeds) = _split_by_paths([fit[0] for fit in fits], engine if pistons else None), fits[0]
     record = split_record(split, engine=engine) if pistons and engine is not None else rotor_record(split)
     used = sorted({path.channel for path in paths})
     evidence = (
-        f"stated paths of {', '.join(used)} at {fits[0].speeds} speeds in their range; they miss "
-        f"{100 * fits[0].missed:.0f} % of order 1; paths that are not stated are taken as none"
+        f"stated paths of {', '.join(used)} at {speeds} speeds in their range; they miss "
+        f"{100 * missed:.0f} % of order 1; paths that are not stated are taken as none"
     )
     orders = tuple(order for order, _ in parts)
     return replace(record, source="stated path", orders_used=orders, evidence=evidence)
@@ -322,7 +311,8 @@ def _by_stated_paths(
 
 def _forces(
     measured: MeasuredOrders, order: int, axes: tuple[str, ...], paths: tuple[StatedPath, ...], radius_m: float
-) -> _Forces:
+) -> tuple[Split, float, int]:
+    """Masses of one ``order``, the share of it that the ``paths`` miss, and the speeds that told."""
     at = measured.order_of_row == order
     f, omega = measured.frequency_hz[at], measured.rpm_of_row[at] * np.pi / 30
     stated = [path for path in paths if path.direction in axes]
@@ -363,7 +353,7 @@ def _forces(
     covariance = max(1.0, chi_square) * _noise(inverse, own, measured.correlation[at]) + covariance
     speeds = int(np.count_nonzero(usable.any(axis=0)))
     sought, per_kg = tuple((order, axis) for axis in axes), np.ones(len(axes), dtype=np.complex128)
-    return _Forces(Split(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), sought, per_kg), missed, speeds)
+    return Split(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), sought, per_kg), missed, speeds
 
 
 def _noise(inverse: Complexes, own: Floats, correlation: Complexes) -> Floats:
@@ -409,8 +399,7 @@ Place = tuple[int, str]
 """Order and axis of a force."""
 
 
-@dataclass(frozen=True, eq=False)
-class Split:
+class Split(NamedTuple):
     """Complex masses (kg at the crank radius) behind orders 1 and 2, with what they multiply.
 
     ``mass_kg`` (mass,); ``covariance`` (2 mass, 2 mass) of real and imaginary parts in turn, with ``freedom``;

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -116,8 +117,7 @@ class _Number:
         return any(course is not None and course.slips_from(multiple - at) for at, course in self.swept)
 
 
-@dataclass(frozen=True)
-class _Unnamed:
+class _Unnamed(NamedTuple):
     """An order before it is said whether it is locked: its number, its lines, and what speaks against it."""
 
     number: _Number
@@ -153,9 +153,8 @@ def orders_agreed(
     source = speed_source([*frames, order_map])
     test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses", followed)
     last = order_map["order"].values[-1] + 0.5 * test.resolution  # of a line beyond only its skirt is seen
-    parted = [
-        unnamed for group in _groups([line for line in lines if line.order < last]) for unnamed in _agreed(group, test)
-    ]
+    groups = _groups([line for line in lines if line.order < last])
+    parted = [unnamed for group in groups for unnamed in _agreed(group, test)]
     orders = [unnamed.number.order for unnamed in parted]
     distinct = [  # close lines, to which another group has led already, count once
         unnamed
@@ -256,14 +255,10 @@ def _followed(group: list[OrderLine], tracks: list[Followed], test: _Test) -> _U
     """One of several close lines of a sweep by its ``tracks`` in the recordings that part them."""
     read = [track for track in tracks if track.by_phase] or tracks
     joined = _joined([(track.number, track.variance, SURE_FREEDOM) for track in read])
-    number = replace(
-        joined,
-        # the same modes turn the phase in all recordings alike: more of them tell no better
-        error=max(joined.error, float(np.sqrt(min(track.variance for track in read)))),
-        by_phase=read[0].by_phase,
-        swept=tuple((track.order, track.course) for track in tracks),
-        parted_rev=min(track.span_rev for track in tracks),
-    )
+    # the same modes turn the phase in all recordings alike: more of them tell no better
+    error = max(joined.error, float(np.sqrt(min(track.variance for track in read))))
+    swept, parted_rev = tuple((track.order, track.course) for track in tracks), min(t.span_rev for t in tracks)
+    number = replace(joined, error=error, by_phase=read[0].by_phase, swept=swept, parted_rev=parted_rev)
     speeds, channels = test.order_map["speed"].values, _all_channels(group, test)
     lines = lines_of(channels, tracks, speed_rpm=speeds, order=number.order, order_error=number.error)
     return _Unnamed(number, lines or group, (PARTED_IN_SWEEP,))
@@ -379,19 +374,17 @@ def _may_be_a_pair(unnamed: _Unnamed, off: float, test: _Test) -> bool:
 
 def unless_sidebands(
     orders: Sequence[AgreedOrder], order_map: xr.Dataset, frames: Sequence[xr.Dataset]
-) -> AgreedOrders:
+) -> Iterator[AgreedOrder]:
     """``orders``, undecided and of no number of their own where errors of the crank angle (in ``frames``) may have made
     them. A line of the shaft that most speeds of ``order_map`` show is none of these, whose orders move with the speed.
     """
-    checked = list[AgreedOrder]()
     for order in orders:
         few = 2 * len({at for line in order.lines for at in line.seen.tolist()}) <= order_map.sizes["speed"]
         carrier = sideband_of(order.lines, order_map, frames) if few or order.lock != "locked" else None
         if carrier is not None:
             doubt = Doubt("angle in error", f"no larger than what errors of the crank angle make of order {carrier:g}")
             order = replace(order, lock="undecided", doubts=(*order.doubts, doubt), of_angle=True)
-        checked.append(order)
-    return tuple(checked)
+        yield order
 
 
 def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | None:

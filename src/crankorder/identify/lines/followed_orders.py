@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -87,8 +87,7 @@ def with_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset],
         slow = places[: int(np.cumprod(np.diff(numbers, prepend=0.0) < LOWEST_BINS * step).sum())]
         for place, number in zip(places, numbers, strict=True):
             beside = (abs(number - sweep["order"].values[other]) for other in slow if other != place)
-            nearest = min(beside, default=step)
-            apart = 0.5 * min(step, nearest) if place in slow else 0.5 * step
+            apart = 0.5 * min(step, min(beside, default=step)) if place in slow else 0.5 * step
             known = any(abs(kept.order - number) <= max(NUMBERS.same_order * number, apart) for kept in known_orders)
             off = 0.0 if place in slow else abs(nearest_multiple(number, revs_per_cycle=cycle) - number)
             if known or off > NUMBERS.same_order * number:
@@ -128,9 +127,8 @@ def slow_flags(
     asks = "record longer at a held speed, for longer frames ([orders] revs_per_frame)"
     if longest > revs and not any_swept(recordings):
         asks = f"[orders] revs_per_frame = {longest:g} in a recipe tells those from {LOWEST_BINS / longest:.2g} on"
-    what = (
-        f"below order {LOWEST_BINS / revs:.2g} stands a slow line or a drift, of which frames of {revs:g} revolutions"
-    )
+    short = f"frames of {revs:g} revolutions"
+    what = f"below order {LOWEST_BINS / revs:.2g} stands a slow line or a drift, of which {short}"
     return [{"recording": "all", "flag": "slow_lines", "severity": "info", "detail": f"{what} tell no order: {asks}"}]
 
 
@@ -155,7 +153,9 @@ FIXED_WORDS: dict[ToneKind, str] = {"mains": "mains", "tone": "a tone"}
 """Lines that stay where they are, in a sentence; what may be an order is none."""
 
 
-def with_track_rows(orders: Sequence[AgreedOrder], reader: TrackReader, *, settings: OrderSettings) -> AgreedOrders:
+def with_track_rows(
+    orders: Sequence[AgreedOrder], reader: TrackReader, *, settings: OrderSettings
+) -> Iterator[AgreedOrder]:
     """``orders`` whose lines hold the amplitudes, phases and intervals of the rows of their tracks, as ``reader`` has
     them for all orders of the test and those that ``settings`` ask for.
 
@@ -164,12 +164,10 @@ def with_track_rows(orders: Sequence[AgreedOrder], reader: TrackReader, *, setti
     cycle = int(reader.order_map.attrs["revs_per_cycle"])
     numbers = [track_number(known, revs_per_cycle=cycle) for known in orders]
     tracked = all_tracked(numbers, settings)
-    followed = []
     for agreed, number in zip(orders, numbers, strict=True):
         others = [other for other in tracked if other != number]
         of_track = reader.rows(number, others), reader.met(number, others), reader.worth(number), reader
-        followed.append(replace(agreed, lines=tuple(_read(line, *of_track) for line in agreed.lines), tracked=number))
-    return tuple(followed)
+        yield replace(agreed, lines=tuple(_read(line, *of_track) for line in agreed.lines), tracked=number)
 
 
 def fixed_lines(tones: Sequence[Tone]) -> tuple[FixedLine, ...]:
@@ -227,9 +225,8 @@ def _read(line: OrderLine, rows: OrderRows, met: Sequence[PartedRow], worth: Flo
     return replace(made, remark="; ".join(text for text in (remark, *_met_words(apart, made, at, channel)) if text))
 
 
-def _met_words(met: Sequence[PartedRow], line: OrderLine, at: Ints, channel: int) -> list[str]:
+def _met_words(met: Sequence[PartedRow], line: OrderLine, at: Ints, channel: int) -> Iterator[str]:
     """What is said of rows that ``met`` lines of one frequency, of those ``at`` which ``line`` was seen."""
-    said = []
     for row in met:
         place = np.flatnonzero(at == row.row)
         if not len(place) or line.ends is None:
@@ -237,7 +234,6 @@ def _met_words(met: Sequence[PartedRow], line: OrderLine, at: Ints, channel: int
         rpm, (low, high) = float(line.speed_rpm[place[0]]), line.ends[place[0]]
         what = " and ".join(line_met.text for line_met in row.lines)
         if row.is_parted[channel]:
-            said.append(f"told apart from {what}")
+            yield f"told apart from {what}"
         elif high - low > NUMBERS.told_share * line.amplitude[place[0]]:
-            said.append(f"{what} meets it at {rpm:.5g} rpm, where its own share is {low:.3g}…{high:.3g}")
-    return said
+            yield f"{what} meets it at {rpm:.5g} rpm, where its own share is {low:.3g}…{high:.3g}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.special import gammaincc, stdtr
@@ -65,8 +65,7 @@ LOW_SHARE = 1.8
 """Of the chance outside the interval so many halves lie below it: little is left above, where one error is added."""
 
 
-@dataclass(frozen=True, eq=False)
-class Growth:
+class Growth(NamedTuple):
     """Amplitude ~ speed**``exponent`` with its standard error and ``degrees_of_freedom``.
 
     ``law`` names what the amplitude does; ``fit_chance`` is the chance of residuals as large if the law held at the
@@ -193,8 +192,7 @@ def _excess(residual: Floats, error: Floats) -> float:
     return excess_scatter(misfit, max(len(residual) - 2, 1), most=most, within=1e-9)
 
 
-@dataclass(frozen=True)
-class PowerLaw:
+class PowerLaw(NamedTuple):
     """log amplitude = ``level`` + ``exponent`` · (log speed - ``mean``), from speeds that scatter about it.
 
     ``level_variance`` and ``exponent_variance`` are apart; ``scatter`` is the standard deviation of the logarithm
@@ -301,9 +299,7 @@ def _truncated_quantile(cut: float, wide: float, degrees_of_freedom: float, shar
 
     if above(-wide) >= 0.0:
         return -wide
-    if above(wide) <= 0.0:
-        return wide
-    return root(above, -wide, wide, within=1e-6)
+    return wide if above(wide) <= 0.0 else root(above, -wide, wide, within=1e-6)
 
 
 def reported(line: OrderLine, law: Growth | None) -> Largest:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -21,8 +22,7 @@ from crankorder.settings import MethodNumbers
 NUMBERS = MethodNumbers("5-identify-explain.toml", "known_lines")
 
 
-@dataclass(frozen=True, eq=False)
-class LineSeen:
+class LineSeen(NamedTuple):
     """A known line in one recording: its order, frequency and amplitudes.
 
     ``also``: other known lines that may stand there; ``also_order``: the order of the shaft that may, or None.

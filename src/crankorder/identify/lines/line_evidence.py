@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -445,8 +444,7 @@ def best_offset(phasors: Complexes, turn: Floats, *, hop_rev: float) -> tuple[fl
 FOLD_NUMBERS = MethodNumbers("5-identify-explain.toml", "folds")
 
 
-@dataclass(frozen=True, eq=False)
-class ShownAlias:
+class ShownAlias(NamedTuple):
     """A fold and where it shows: ``speed_rpm`` and ``order`` (points,), each order known within ``order_error``."""
 
     fold: Alias
@@ -518,9 +516,6 @@ def _samples_per_rev(order_map: xr.Dataset) -> float | None:
 def _aliased_mains(order_map: xr.Dataset, samples_per_rev: float, settings: Settings) -> list[AliasedLine]:
     """Multiples of mains that fold into the orders of the map."""
     multiples = np.multiply.outer(settings.identify.mains_hz, np.arange(1, FOLD_NUMBERS.mains_harmonics + 1))
-    return aliased_lines(
-        samples_per_rev,
-        order_map["speed"].values,
-        frequencies_hz=np.unique(multiples[multiples <= settings.identify.fold_search_hz]).tolist(),
-        shown_to_order=float(order_map["order"].values[-1]),
-    )
+    hertz = np.unique(multiples[multiples <= settings.identify.fold_search_hz]).tolist()
+    speed, last = order_map["speed"].values, float(order_map["order"].values[-1])
+    return aliased_lines(samples_per_rev, speed, frequencies_hz=hertz, shown_to_order=last)

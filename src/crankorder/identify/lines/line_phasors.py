@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -132,8 +132,7 @@ LEAST_APART_CYCLES = 0.25
 """Cycles over the recording below which two lines have run into one another."""
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(NamedTuple):
     """Frames of a recording: ``spectrum`` (channels, frames, orders), the middle of each in rev, speeds in rpm.
 
     Frames are ``revs`` long and ``hop_rev`` apart.
@@ -175,8 +174,7 @@ def recordings_of(frames: Sequence[xr.Dataset]) -> list[Recording]:
 Phasors = tuple[Recording, Complexes, Floats, Floats]
 
 
-@dataclass(frozen=True, eq=False)
-class Bin:
+class Bin(NamedTuple):
     """The bin ``at`` of some ``channels`` (numbers), from the least to the largest of ``speeds_rpm``.
 
     Give or take ``speed_bin_rpm``.
@@ -300,8 +298,7 @@ SAME_NUMBER = 1e-9
 """Numbers closer than this are one."""
 
 
-@dataclass(frozen=True)
-class Followed:
+class Followed(NamedTuple):
     """One line in one recording: its ``place`` among the orders of ``tracks`` (RecordingTracks), its ``number``, the
     ``variance`` of that, and how its phase runs from the order under which it was followed.
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -77,8 +77,7 @@ def supply_told(places_hz: Sequence[tuple[float, float]], *, settings: IdentifyS
     return supplies.pop() if len(supplies) == 1 else None
 
 
-@dataclass(frozen=True)
-class _Fixed:
+class _Fixed(NamedTuple):
     """Lines of one speed: frequencies and errors in Hz, speeds in rpm, whether each may be an ``exact`` order."""
 
     hertz: Floats
@@ -182,12 +181,11 @@ def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
     return agreed.order * rpm / 60.0, error / 60.0
 
 
-def mains_seen(held: Sequence[HeldFrames], *, settings: IdentifySettings) -> tuple[LineSeen, ...]:
+def mains_seen(held: Sequence[HeldFrames], *, settings: IdentifySettings) -> Iterator[LineSeen]:
     """Mains and twice mains, where several recordings of ``held`` at different speeds show one and the same frequency.
 
     ``settings``: the mains frequencies and how far they wander.
     """
-    lines: list[LineSeen] = []
     for mains in settings.mains_hz:
         base = None
         for multiple in range(1, NUMBERS.most_multiples + 1):
@@ -201,12 +199,11 @@ def mains_seen(held: Sequence[HeldFrames], *, settings: IdentifySettings) -> tup
             line = MotorLine(mains_words(multiple), multiple, 0.0)
             if places:
                 base = float(np.median([hertz for _, hertz in places])) / multiple
-            lines += [
+            yield from (
                 LineSeen(line, recording, hertz, sighting)
                 for recording, hertz in places
                 if (sighting := sightings(recording, [Place(hertz)])[0]) is not None
-            ]
-    return tuple(lines)
+            )
 
 
 def _one_frequency(
@@ -311,8 +308,7 @@ class Measured(NamedTuple):
     error_hz: float
 
 
-@dataclass(frozen=True, eq=False)
-class MotorSeen:
+class MotorSeen(NamedTuple):
     """``record`` of a motor, its ``lines`` in recordings, and why a stated speed is not that of the shaft, or None."""
 
     record: MotorRecord
@@ -366,7 +362,7 @@ def motor_seen(motor: Motor, held: Sequence[HeldFrames], *, by_shaft: bool, sett
         rotor_bars=motor.rotor_bars,
         misfit="" if fits or supply is None else _misfit(motor, speeds, supply.hertz),
         speeds=tuple(speeds),
-        lines=_records(seen),
+        lines=tuple(_records(seen)),
     )
     if not doubts:
         return MotorSeen(record, tuple(seen), None)
@@ -395,12 +391,10 @@ def _speed(motor: Motor, held: HeldFrames, supply: Measured, *, by_shaft: bool) 
     """What the motor does in one recording; None without poles, or where nothing tells its speed."""
     if motor.poles is None:
         return None
-    shaft = Measured(held.rpm * motor.shaft_ratio / 60.0, 0.0)
-    if not by_shaft:
-        below = _line_below_field(motor, held, supply.hertz)
-        if below is None:
-            return None
-        shaft = below
+    stated = Measured(held.rpm * motor.shaft_ratio / 60.0, 0.0)
+    shaft = stated if by_shaft else _line_below_field(motor, held, supply.hertz)
+    if shaft is None:
+        return None
     synchronous_rpm = motor.synchronous_rpm(supply.hertz)
     slip = 1.0 - 60.0 * shaft.hertz / synchronous_rpm
     half = Z95 * float(np.hypot(supply.error_hz / supply.hertz, shaft.error_hz / shaft.hertz))
@@ -453,7 +447,7 @@ def _misfit(motor: Motor, speeds: Sequence[MotorSpeed], supply_hz: float) -> str
     )
 
 
-def _seen_in(held: HeldFrames, lines: Sequence[MotorLine], supply_hz: float) -> list[LineSeen]:
+def _seen_in(held: HeldFrames, lines: Sequence[MotorLine], supply_hz: float) -> Iterator[LineSeen]:
     """Those of the ``lines`` that stand in the recording ``held``, with what else may stand there."""
     places = [Place(line.mains * supply_hz, line.turns) for line in lines]
     at_places = sightings(held, places)
@@ -469,18 +463,15 @@ def _seen_in(held: HeldFrames, lines: Sequence[MotorLine], supply_hz: float) -> 
         on_order = whole if beside and (line.mains != 0 or line.of != "") else None
         shown[number] = LineSeen(line, held, line.hertz_at(supply_hz, held.rpm), sighting, also, on_order)
     carriers = {seen.line.name for seen in shown.values()} | {SHAFT}
-    kept = []
     for number, seen in shown.items():
         if seen.line.of and seen.line.of not in carriers:
             continue
         partner = [k for k in shown if k != number and seen.line.of and lines[k].name == seen.line.name]
-        if not seen.alone and seen.line.of and not any(shown[k].alone for k in partner):
-            continue
-        kept.append(seen)
-    return kept
+        if seen.alone or not seen.line.of or any(shown[k].alone for k in partner):
+            yield seen
 
 
-def _records(lines: Sequence[LineSeen]) -> tuple[LineRecord, ...]:
+def _records(lines: Sequence[LineSeen]) -> Iterator[LineRecord]:
     """One record per line and channel, of the recording in which it is largest."""
     shown: dict[tuple[str, int, float, str], list[tuple[float, float, LineSeen]]] = {}
     for seen in lines:
@@ -489,10 +480,9 @@ def _records(lines: Sequence[LineSeen]) -> tuple[LineRecord, ...]:
             if size >= Z95 * error:
                 key = seen.line.name, seen.line.mains, seen.line.turns, channel
                 shown.setdefault(key, []).append((size, error, seen))
-    records = []
     for (*_, channel), group in shown.items():
         size, error, largest = max(group, key=lambda sized: sized[0])
-        record = LineRecord(
+        yield LineRecord(
             name=largest.name,
             side=largest.line.side,
             channel=channel,
@@ -504,5 +494,3 @@ def _records(lines: Sequence[LineSeen]) -> tuple[LineRecord, ...]:
             others=largest.others,
             n_recordings=len(group),
         )
-        records.append(record)
-    return tuple(records)

@@ -156,8 +156,7 @@ def _stronger(
 def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) -> OrderLine | None:
     """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
     chance, n_speeds, doubts = search.false_alarm_probability, len(search.speed), list[Doubt]()
-    alone = len(seen) >= needed or search.is_swept
-    together = seen if alone else _seen_together(search, channel, peak)
+    together = seen if len(seen) >= needed or search.is_swept else _seen_together(search, channel, peak)
     if len(together) >= needed and not (len(seen) < needed and _has_fixed_frequency(search, channel, peak, seen)):
         seen = together
     elif len(seen) < needed:
@@ -363,8 +362,7 @@ def _refined(lobe: Floats, noise: Floats) -> tuple[float, float]:
     offset = 0.5 * (by_right + by_left)
     weight = lobe[:, 1] ** 2 / np.maximum(noise, 1e-12 * lobe[:, 1] ** 2)
     mean = float(np.average(offset, weights=weight))
-    share = weight / weight.sum()
-    spread = float(np.sqrt(share @ (offset - mean) ** 2 / max(1, len(offset) - 1)))
+    spread = float(np.sqrt(weight / weight.sum() @ (offset - mean) ** 2 / max(1, len(offset) - 1)))
     apart = 0.5 * abs(float(np.average(by_right - by_left, weights=weight)))
     return mean, max(spread, apart, 0.61 / float(np.sqrt(weight.sum())))
 
@@ -405,8 +403,7 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
     revs = float(frames.attrs["revs_per_frame"])
     place = order * revs
     used = _bins_about(place, frames)
-    turned = _turned(frames, used)
-    seen = turned.reshape(-1, len(used))
+    seen = _turned(frames, used).reshape(-1, len(used))
     seen = seen[np.isfinite(seen).all(axis=1) & (seen != 0.0).any(axis=1)]
     if len(seen) < SWEPT_NUMBERS.fewest_frames or len(used) < SWEPT_NUMBERS.reach_bins:
         return float("nan")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import fft
@@ -127,8 +128,7 @@ def zoomed(
     line = _followed(phasors, frames, offset)
     second = _second(phasors, frames, line) if not alone and line.snr > NUMBERS.beating_squared else None
     if second is not None:
-        others = phasors - _waves(second, turn)
-        line = _followed(others, frames, line.offset)
+        line = _followed(phasors - _waves(second, turn), frames, line.offset)
         second = _followed(phasors - _waves(line, turn), frames, second.offset)
         if second.snr < NUMBERS.seen_squared:
             second = None
@@ -157,8 +157,7 @@ def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> f
         return np.nan
     trial = _trials(float(np.ptp(turn)), hop_rev)
     best = trial[int(np.argmax(np.abs(turned_sums(phasors[None], turn, trial))))]
-    rows = _polynomials(turn, NUMBERS.noise_degrees)
-    slow = rows @ (phasors * np.exp(-2j * np.pi * best * turn))
+    slow = _polynomials(turn, NUMBERS.noise_degrees) @ (phasors * np.exp(-2j * np.pi * best * turn))
     left = float(np.square(np.abs(phasors)).sum() - np.square(np.abs(slow)).sum())
     return float(left / (len(turn) - NUMBERS.noise_degrees - 1))
 
@@ -290,16 +289,14 @@ def _wander(phasors: Complexes, turn: Floats, line: Zoomed) -> float:
     if len(turn) < 4 * NUMBERS.wander_degrees:
         return np.nan
     left = (phasors - _waves(line, turn)) * np.exp(-2j * np.pi * line.offset * turn)
-    rows = _polynomials(turn, NUMBERS.wander_degrees)[1:]
-    slow = np.square(np.abs(left @ rows.T)).sum(axis=1)
+    slow = np.square(np.abs(left @ _polynomials(turn, NUMBERS.wander_degrees)[1:].T)).sum(axis=1)
     fast = np.maximum(np.square(np.abs(left)).sum(axis=1) - slow, 1e-30)
     ratio = slow / NUMBERS.wander_degrees / (fast / (len(turn) - NUMBERS.wander_degrees - 1))
     large = slow / len(turn) > (NUMBERS.wander_share * np.abs(line.amplitude)) ** 2
     return float(np.median(np.where(large, ratio, 0.0)))
 
 
-@dataclass(frozen=True)
-class Course:
+class Course(NamedTuple):
     """How the phase of a line runs over a recording: at ``offset`` orders from its bin, surely within ``half`` orders.
 
     ``slopes`` (stretches,) are those of its stretches, each known within ``reach``; they cover ``span_rev``.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -25,8 +26,7 @@ FAR = 60.0
 """Size of 2πTz from which the series in 1/z is good to 1e-6."""
 
 
-@dataclass(frozen=True, eq=False)
-class SpectralWindow:
+class SpectralWindow(NamedTuple):
     """Power response of a window: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
 
     ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.

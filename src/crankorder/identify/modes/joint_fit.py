@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 import xarray as xr
@@ -106,8 +106,7 @@ def modal_fit(
         modal = _found(fitted, floor, proof, settings)
     modal = with_sweep_modes(modal, swept.poles, settings)
     every = poles_of_modes(modal.modes).joined(poles_at((pole.frequency_hz, pole.damping) for pole in by_orders.found))
-    along = [with_best_law(block, every) for block in asked if block.rows.recording]
-    blocks = (*by_orders.blocks, *along)
+    blocks = (*by_orders.blocks, *(with_best_law(block, every) for block in asked if block.rows.recording))
     modal = _with_order_modes(modal, by_orders, every, settings)
     bounds = [floor_bound(local.problem, local.fit.model, poles=local.own_modes, settings=settings) for local in fitted]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
@@ -115,10 +114,10 @@ def modal_fit(
     modal = replace(
         modal,
         modes=of_the_air(modal.modes, campbell),
-        responses=responses_of(blocks, poles),
+        responses=tuple(responses_of(blocks, poles)),
         unseen=least_seen(blocks, poles, unit=unit, settings=settings, floors=floors, sweeps=swept.hiding),
         shown_orders=swept.shown_orders,
-        left=_left(fitted, floor, by_orders.blocks if not ended else (), swept),
+        left=tuple(_left(fitted, floor, by_orders.blocks if not ended else (), swept)),
     )
     return without_remains(modal, whirls, campbell["speed"].values) if whirls else modal
 
@@ -134,26 +133,23 @@ def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: AgreedOrders) ->
 
 def _left(
     fitted: list[Fitted], floor: Floor | None, unended: Sequence[Block], swept: SweepFits
-) -> tuple[Unsearched, ...]:
+) -> Iterator[Unsearched]:
     """Where the searches in bands of the ``floor``, in ``swept`` signals and by ``unended`` blocks stopped."""
-    left = [Unsearched("sweeps", low, high) for low, high in swept.left_hz]
+    yield from (Unsearched("sweeps", low, high) for low, high in swept.left_hz)
     if floor is not None:
         bands = np.clip([local.band.range_hz for local in fitted if local.stopped], *floor.frequency_hz[[0, -1]])
-        left += [Unsearched("floor", float(low), float(high)) for low, high in bands]
+        yield from (Unsearched("floor", float(low), float(high)) for low, high in bands)
     if unended:
         ends = np.array([block.rows.ends_hz for block in unended])
-        left.append(Unsearched("orders", float(ends.min()), float(ends.max())))
-    return tuple(left)
+        yield Unsearched("orders", float(ends.min()), float(ends.max()))
 
 
 def _known(fitted: list[Fitted], swept: SweepFits) -> tuple[Poles, Floats]:
     """Poles of all bands that are neither tones nor those of ``swept``, and covariance of their (f_1, ζ_1, f_2, …)."""
-    parts, own = list[Floats](), NO_POLES
-    for local in fitted:
-        parts.append(covariance_among(local.covariance, np.flatnonzero(local.own)))
-        own = own.joined(local.own_modes)
-    kept = np.flatnonzero(unlike(own, side_by_side(parts), swept.poles))
-    return own.chosen(kept), covariance_among(side_by_side(parts), kept)
+    covariance = side_by_side([covariance_among(local.covariance, np.flatnonzero(local.own)) for local in fitted])
+    own = reduce(Poles.joined, (local.own_modes for local in fitted), NO_POLES)
+    kept = np.flatnonzero(unlike(own, covariance, swept.poles))
+    return own.chosen(kept), covariance_among(covariance, kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,12 +210,9 @@ def _with_order_modes(fit: ModalFit, by_orders: Settled, every: Poles, settings:
     parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
     modes = (*fit.modes, *more)
     rank = poles_of_modes(modes).rank
-    return replace(
-        fit,
-        modes=tuple(modes[k] for k in rank.tolist()),
-        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more)),
-        covariance=covariance_among(side_by_side(parts), rank),
-    )
+    tones = tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more))
+    covariance = covariance_among(side_by_side(parts), rank)
+    return replace(fit, modes=tuple(modes[k] for k in rank.tolist()), tones=tones, covariance=covariance)
 
 
 def _found(fitted: list[Fitted], floor: Floor, proofs: dict[float, Proof], settings: IdentifySettings) -> ModalFit:
@@ -366,7 +359,7 @@ def mode_of(pole: OrderPole, covariance: Floats, every: Poles, *, settings: Iden
     is_another = zeta_error > ORDER_MODES.known_share * zeta and bool((np.abs(others - f) <= Z95 * error).any())
     if not proof.orders or zeta > settings.max_damping_ratio or is_another:
         return None
-    doubt = _doubt(pole, error, zeta_error, every)
+    doubt = "; ".join(_doubts(pole, error, zeta_error, every))
     return Mode(f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, doubt)
 
 
@@ -374,32 +367,30 @@ def _listed(orders: Sequence[float]) -> str:
     return ", ".join(f"{order:g}" for order in orders)
 
 
-def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> str:
+def _doubts(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> Iterator[str]:
     """Why a pole that only orders show may be none."""
     f, zeta, proof = pole.frequency_hz, pole.damping, pole.proof
     low, high = proof.span_hz
-    said = []
     if not proof.passed:
-        said.append("no order passes it: something else beyond what was swept may look the same")
+        yield "no order passes it: something else beyond what was swept may look the same"
     elif (
         len(proof.passed) == 1
         and not proof.flanked
         and (proof.most_rows < ORDER_MODES.rows_of_turn or zeta_error > ORDER_MODES.known_alone_share * zeta)
     ):
-        said.append(f"passed by order {proof.passed[0]:g} alone, at {proof.most_rows} speeds: its force may peak there")
+        yield f"passed by order {proof.passed[0]:g} alone, at {proof.most_rows} speeds: its force may peak there"
     elif len(proof.passed) > 1 and not is_proven(proof):
-        said.append("too few speeds lie near it: a force that differs at one of them looks the same")
+        yield "too few speeds lie near it: a force that differs at one of them looks the same"
     if error > ORDER_MODES.uncertain_share * f:
-        said.append(f"its frequency is known to {100.0 * error / f:.1f} % only")
+        yield f"its frequency is known to {100.0 * error / f:.1f} % only"
     if zeta_error > ORDER_MODES.known_share * zeta:
-        said.append("its damping is not determined")
+        yield "its damping is not determined"
     if f + 2.0 * zeta * f > high or f - 2.0 * zeta * f < low:
-        said.append(f"lies at the end of what was swept, {low:.1f} to {high:.1f} Hz")
+        yield f"lies at the end of what was swept, {low:.1f} to {high:.1f} Hz"
     apart = np.abs(every.frequency_hz / f - 1.0)
     within = (apart > 0.0) & (apart < every.damping)
     wider = every.frequency_hz[
         within & ((every.damping > ORDER_MODES.wider_ratio * zeta) | (apart < every.damping / ORDER_MODES.wider_ratio))
     ]
     if len(wider):
-        said.append(f"within the width of {wider[0]:.1f} Hz: what that one's model leaves may look the same")
-    return "; ".join(said)
+        yield f"within the width of {wider[0]:.1f} Hz: what that one's model leaves may look the same"

@@ -198,11 +198,9 @@ def _measured(
     if agreed.lock != "undecided" or agreed.of_angle:  # an error of the angle is locked too
         return None
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
-    seen = list[_Left]()
-    for tracks in sweeps:
-        block = _swept_block(agreed, tracks)
-        left = _left_of(block, modal, tracks, multiple) if block is not None else None
-        seen += [left] if left is not None else []
+    blocks = [(block, tracks) for tracks in sweeps if (block := _swept_block(agreed, tracks)) is not None]
+    lefts = (_left_of(block, modal, tracks, multiple) for block, tracks in blocks)
+    seen = [left for left in lefts if left is not None]
     if not seen:
         return None
     turns, weight = np.array([(left.order, 1.0 / left.error**2) for left in seen]).T
@@ -216,14 +214,10 @@ def _locked_where_proven(agreed: AgreedOrder, left: _Left, cycle: int) -> Agreed
     lock = lock_of(left.order, left.error, left.degrees_of_freedom, revs_per_cycle=cycle, by_phase=True)
     if lock != "locked":
         return agreed
+    order = nearest_multiple(agreed.order, revs_per_cycle=cycle)
+    dof, doubts = left.degrees_of_freedom, tuple(doubt for doubt in agreed.doubts if doubt != IN_SWEEP)
     return replace(
-        agreed,
-        order=nearest_multiple(agreed.order, revs_per_cycle=cycle),
-        order_error=left.error,
-        degrees_of_freedom=left.degrees_of_freedom,
-        lock=lock,
-        needed_revs=None,
-        doubts=tuple(doubt for doubt in agreed.doubts if doubt != IN_SWEEP),
+        agreed, order=order, order_error=left.error, degrees_of_freedom=dof, lock=lock, needed_revs=None, doubts=doubts
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -381,8 +381,7 @@ class Block:
         return [self.growth[:, None] * slope for slope in self.rows.modal_slopes(natural_hz, damping)]
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
+class Blocks(NamedTuple):
     """Orders that take part in a joint fit; ``fixed`` are further poles behind them, which other bands tell."""
 
     items: tuple[Block, ...]

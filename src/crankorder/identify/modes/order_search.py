@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, fdtrc
@@ -41,8 +42,7 @@ SETTLED, STEPS = 0.05, 12
 """Square of a standard error that a step must gain to be followed by another; steps of a fit at most."""
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
+class Prior(NamedTuple):
     """What the floor says of the first poles: ``place`` (P, 2), their ln f and ln ζ, with its ``error`` (P, 2)."""
 
     place: Floats
@@ -99,15 +99,13 @@ def poles_of_orders(
         state = more
         more, followed = _more(state, tried, chance=chance, most_damping=most_damping)
         starts -= followed
-    state = state if more is None else more
-    state = _pruned(state, chance=chance)
+    state = _pruned(state if more is None else more, chance=chance)
     new = range(len(known), len(state.poles))
     poles = tuple(named(state.blocks, state.projected, state.poles, number) for number in new)
     return state.blocks, poles, more is None
 
 
-@dataclass(frozen=True, eq=False)
-class Settled:
+class Settled(NamedTuple):
     """``blocks`` with their laws and scatter; ``proofs`` of the known poles; the poles ``found``, lowest first.
 
     ``covariance`` (2 M, 2 M) is that of (f_1, ζ_1, f_2, …) of the latter.
@@ -134,8 +132,7 @@ def settled(blocks: Sequence[Block], known: Poles, candidates: Sequence[OrderPol
     return Settled(state.blocks, proofs, tuple(every[len(known) :]), covariance)
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
+class Fitted(NamedTuple):
     """``blocks`` with the scatter that ``poles`` leave, each as ``projected`` with them, and the ``prior`` of these."""
 
     blocks: tuple[Block, ...]
@@ -175,12 +172,11 @@ class Fitted:
         pairs = zip(less._left_shares(), self._left_shares(clear=False), strict=True)
         return max((float((before - after).max()) for before, after in pairs), default=0.0)
 
-    def _left_shares(self, *, clear: bool = True) -> list[Floats]:
+    def _left_shares(self, *, clear: bool = True) -> Iterator[Floats]:
         """What is left of each row (C, K) of each block as a share of the amplitude; 0 where that is small.
 
         And, of what must be ``clear``, where noise may have made it.
         """
-        shares = []
         for block, part in zip(self.blocks, self.projected, strict=True):
             left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
             rows = block.rows
@@ -188,8 +184,7 @@ class Fitted:
             counts = rows.linear_size > NUMBERS.matters_share * rows.linear_size.max()
             if clear:
                 counts &= left > NUMBERS.clear_sigmas * block.noise * rows.error
-            shares.append(np.where(counts, share, 0.0))
-        return shares
+            yield np.where(counts, share, 0.0)
 
     def saves(self, less: Fitted) -> float:
         """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
@@ -357,18 +352,14 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     while number < len(state.poles):
         fewer, needed = _without(state, number, chance=chance)
         if needed and _is_beside(state.poles, number):
-            fewer = _refitted(state, fewer.poles)
+            blocks = [with_best_law(block, fewer.poles) for block in state.blocks]
+            fewer = Fitted.of(blocks, fewer.poles, state.prior).moved()
             needed = state.saves(fewer) > _limit(state.blocks, chance)
         if needed:
             number += 1
         else:
             state, number = fewer, first
     return state
-
-
-def _refitted(state: Fitted, poles: Poles) -> Fitted:
-    """``state`` with these ``poles`` where they and the laws of the forces fit best."""
-    return Fitted.of([with_best_law(block, poles) for block in state.blocks], poles, state.prior).moved()
 
 
 def _without(state: Fitted, number: int, *, chance: float) -> tuple[Fitted, bool]:
@@ -388,8 +379,7 @@ def _is_beside(poles: Poles, number: int) -> bool:
 ORDER_MODES = MethodNumbers("5-identify-modal.toml", "order_modes")
 
 
-@dataclass(frozen=True)
-class Proof:
+class Proof(NamedTuple):
     """The ``orders`` that by themselves prove a mode, by amplitude and phase.
 
     ``most_rows`` is the largest number of rows of one of them within some widths of it, ``rows`` that of all of them,
@@ -408,8 +398,7 @@ class Proof:
     flanked: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True)
-class OrderPole:
+class OrderPole(NamedTuple):
     """A pole that orders ask for: ``frequency_hz``, ``damping``, the ``channels`` that show it and its ``proof``."""
 
     frequency_hz: float

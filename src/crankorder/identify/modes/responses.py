@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, ndtri
@@ -36,9 +37,8 @@ ABOUT_MODE, PER_MODE = 4.0, 81
 """… and those within so many half-power widths of each mode."""
 
 
-def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, ...]:
+def responses_of(blocks: Sequence[Block], modes: Poles) -> Iterator[OrderResponse]:
     """OrderResponse of each channel of ``blocks`` that have phases, for the ``modes``."""
-    responses = []
     for block, part in (with_scatter(block, modes) for block in blocks if not block.rows.power):
         rows, first = block.rows, block.degree + 1
         covariance, slopes = part.covariance * part.beyond_errors, _terms_by_poles(block, modes, part)
@@ -46,7 +46,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
             residue = np.zeros(len(modes), dtype=complex)
             residue[part.reached] = part.linear[number, first:]
             known = rows.error[number][np.isfinite(rows.error[number])]
-            response = OrderResponse(
+            yield OrderResponse(
                 order=rows.order,
                 channel=channel,
                 force=block.force,
@@ -60,8 +60,6 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
                 recording=rows.recording,
                 slopes=slopes[number],
             )
-            responses.append(response)
-    return tuple(responses)
 
 
 def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complexes:
@@ -120,8 +118,7 @@ def together(parts: Sequence[WithAndWithout]) -> WithAndWithout:
 def shapes(frequency_hz: Floats, modal: ModalFit) -> Complexes:
     """Response (frequencies, modes) of each mode of ``modal`` at ``frequency_hz``: −x² / (1 − x² + 2iζx), x = f/f_j."""
     natural = np.array([mode.frequency_hz for mode in modal.modes])
-    damping = np.array([mode.damping_ratio for mode in modal.modes])
-    return resonance(frequency_hz, natural, damping)
+    return resonance(frequency_hz, natural, np.array([mode.damping_ratio for mode in modal.modes]))
 
 
 def held_amplitudes(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Floats, Floats]:
@@ -184,8 +181,7 @@ def _parts(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Compl
     return smooth @ response.smooth, modes * response.residue, columns
 
 
-@dataclass(frozen=True)
-class HeldPeak:
+class HeldPeak(NamedTuple):
     """Largest steady peak ``amplitude`` of an order in a channel, at ``rpm``.
 
     ``error`` is the standard error of the amplitude, with ``freedom`` degrees of freedom.
@@ -300,8 +296,7 @@ def least_seen(
     return tuple(bounds)
 
 
-@dataclass(frozen=True, eq=False)
-class Hiding:
+class Hiding(NamedTuple):
     """What a mode that nobody saw could add to ``order`` in its ``channels``, at ``frequency_hz`` (G,), rising.
 
     ``base`` (C, G) is the amplitude there without it, ``added`` (C, G) the most that it adds unseen, ``noise`` (C, G)
@@ -329,8 +324,7 @@ class Hiding:
         return most
 
 
-@dataclass(frozen=True, eq=False)
-class FloorBound:
+class FloorBound(NamedTuple):
     """Largest ``amplification`` (F,) that a mode at ``frequency_hz`` (F,), rising, could have without being seen."""
 
     frequency_hz: Floats

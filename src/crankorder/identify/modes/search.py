@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -218,8 +219,7 @@ def problem_of(floor: Floor, degree: int) -> Problem:
         averages = 1.0 / (1.0 / floor.averages + (NUMBERS.shadow_share * highest / level) ** 2 + (unsure / level) ** 2)
     averages = np.where(known, averages, 0.0)
     lines = line_columns(floor)
-    smooth = background_columns(len(floor.frequency_hz), degree)
-    background = np.ascontiguousarray(np.concatenate([smooth, lines]))
+    background = np.ascontiguousarray(np.concatenate([background_columns(len(floor.frequency_hz), degree), lines]))
     return Problem(floor.frequency_hz, floor.psd, averages, floor.seen, background, n_lines=len(lines))
 
 
@@ -487,22 +487,15 @@ def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> 
     poles = np.abs(fit.poles.frequency_hz - f) <= reach
     lines = problem.background[len(problem.background) - problem.n_lines :, near]
     lines = lines[(np.abs(lines) > HARDLY).any(axis=1)]
-    local = replace(
-        problem,
-        frequency_hz=problem.frequency_hz[near],
-        psd=problem.psd[:, near],
-        averages=problem.averages[:, near],
-        background=np.concatenate([background_columns(int(near.sum()), 2), lines]),
-        n_lines=len(lines),
-    )
-    return local, fit.poles.chosen(poles)
+    own = {name: getattr(problem, name)[..., near] for name in ("frequency_hz", "psd", "averages")}
+    background = np.concatenate([background_columns(int(near.sum()), 2), lines])
+    return replace(problem, **own, background=background, n_lines=len(lines)), fit.poles.chosen(poles)
 
 
 JOINT_FIT = MethodNumbers("5-identify-modal.toml", "joint_fit")
 
 
-@dataclass(frozen=True, eq=False)
-class Band:
+class Band(NamedTuple):
     """``floor`` of a band with what it shares with the next ones; poles in ``range_hz`` (from, to) belong to it.
 
     ``first`` and ``last`` are the bins of the whole floor that are its own, the last one excluded.
@@ -543,15 +536,9 @@ def _band(floor: Floor, first: int, last: int) -> Band:
         for end in (first, last - 1)
     )
     at = slice(max(0, first - below), min(n_bins, last + above))
-    part = replace(
-        floor,
-        frequency_hz=floor.frequency_hz[at],
-        psd=floor.psd[:, at],
-        averages=floor.averages[:, at],
-        cells=floor.cells[:, :, at],
-        whole=floor.whole[:, at],
-        strong=tuple(t for t in floor.strong if floor.frequency_hz[at][0] <= t[0] <= floor.frequency_hz[at][-1]),
-    )
+    own = {name: getattr(floor, name)[..., at] for name in ("frequency_hz", "psd", "averages", "cells", "whole")}
+    strong = tuple(t for t in floor.strong if floor.frequency_hz[at][0] <= t[0] <= floor.frequency_hz[at][-1])
+    part = replace(floor, **own, strong=strong)
     low = floor.frequency_hz[first] - 0.5 * floor.step_hz if first else -math.inf
     high = floor.frequency_hz[last] - 0.5 * floor.step_hz if last < n_bins else math.inf
     return Band(part, (float(low), float(high)), first, last)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -385,8 +385,7 @@ def _moved(poles: Poles, move: Floats, problem: Problem) -> Poles:
 POLE_ERRORS = MethodNumbers("5-identify-modal.toml", "pole_errors")
 
 
-@dataclass(frozen=True, eq=False)
-class Cell:
+class Cell(NamedTuple):
     """A part of the data that tells poles by itself: its ``hessian`` (P, P) and ``score`` (P,) by ln f_1, ln ζ_1, …"""
 
     hessian: Floats

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -199,8 +200,7 @@ class LocalFit:
         return max(float(shares_of(solved, number).max()) for solved in self.solved)
 
 
-@dataclass(frozen=True, eq=False)
-class OnePoleMore:
+class OnePoleMore(NamedTuple):
     """One pole more at each of S places: ``residues`` (S, orders, C), their ``variance``, what it ``saves`` (S,).
 
     The residues have the unit of the window's amplitudes; a variance is a complex number's whole one, infinite where
@@ -220,7 +220,7 @@ class OnePoleMore:
         parts = min(1 + len(solved.left) * len(natural_hz) // MOST_VALUES, len(natural_hz))
         if parts > 1:
             places = zip(np.array_split(natural_hz, parts), np.array_split(damping, parts), strict=True)
-            pieces = (vars(cls.of(solved, *some)).values() for some in places)
+            pieces = (cls.of(solved, *some) for some in places)
             return cls(*(np.concatenate(each) for each in zip(*pieces, strict=True)))
         window = solved.window
         answers = resonance(window.frequency_hz, natural_hz, damping)
@@ -347,8 +347,7 @@ def shares_of(solved: Solved, number: int) -> Floats:
     """
     window = solved.window
     peak, zeta = solved.natural_hz[number], solved.damping[number]
-    at = np.array([peak])
-    basis = window.paths(solved.natural_hz, solved.damping, at)[0]
+    basis = window.paths(solved.natural_hz, solved.damping, np.array([peak]))[0]
     shares = np.zeros((len(window.orders), solved.left.shape[1]))
     for row, order in enumerate(window.orders):
         if window.sweep.passes(order, (1.0 - zeta) * peak, (1.0 + zeta) * peak):

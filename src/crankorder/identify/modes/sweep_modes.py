@@ -50,12 +50,9 @@ def with_sweep_modes(fit: ModalFit, swept: Sequence[SweepPole], settings: Identi
     """
     modes, (_, covariance) = [_mode_of(pole, settings=settings) for pole in swept], poles_of(swept)
     own = np.flatnonzero(unlike(poles_of_modes(fit.modes), fit.covariance, swept))
-    return replace(
-        fit,
-        modes=(*(fit.modes[k] for k in own), *modes),
-        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in modes)),
-        covariance=side_by_side([covariance_among(fit.covariance, own), covariance]),
-    )
+    tones = tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in modes))
+    both = side_by_side([covariance_among(fit.covariance, own), covariance])
+    return replace(fit, modes=(*(fit.modes[k] for k in own), *modes), tones=tones, covariance=both)
 
 
 def _mode_of(pole: SweepPole, *, settings: IdentifySettings) -> Mode:
@@ -92,7 +89,8 @@ def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings
 
     ``settings``: the false-alarm level, the dampings of modes, and the confidence with which one is excluded.
     """
-    spectra = spectra_of([tracks for tracks in followed if _turns_surely(tracks)], fewest=ROW_NUMBERS.fewest_samples)
+    sure = [tracks for tracks in followed if _turns_surely(tracks)]
+    spectra = tuple(spectra_of(sure, fewest=ROW_NUMBERS.fewest_samples))
     highest = max((order for sweep in spectra for order in sweep.orders), default=0.0)
     if not highest:
         return SweepFits()
@@ -156,8 +154,7 @@ def _with_order(
     fit, less = solved
     window, order = fit.window, float(tracks["order"].values[place])
     half = 0.5 * ROW_NUMBERS.inner_share * (window.high_hz - window.low_hz)
-    middle = 0.5 * (window.high_hz + window.low_hz)
-    near = np.abs(order * tracks["speed"].values / 60.0 - middle) <= half
+    near = np.abs(order * tracks["speed"].values / 60.0 - 0.5 * (window.high_hz + window.low_hz)) <= half
     since = tracks["time"].values - window.sweep.start_s
     near &= (since >= 0.0) & (since <= window.sweep.length_s)
     if not near.any():
@@ -271,8 +268,7 @@ def _with_row(tracks: xr.Dataset, time_s: float, solved: Solved) -> tuple[xr.Dat
     """``tracks`` with one row more at ``time_s``, in which nothing is known yet, and its number."""
     time = tracks["time"].values
     at = int(np.searchsorted(time, time_s))
-    beside = min(at, len(time) - 1)
-    longer = tracks.isel(frame=np.insert(np.arange(len(time)), at, beside))
+    longer = tracks.isel(frame=np.insert(np.arange(len(time)), at, min(at, len(time) - 1)))
     sweep = solved.window.sweep
     longer.coords["time"].values[at] = time_s
     longer.coords["speed"].values[at] = np.interp(time_s, sweep.time_s, sweep.speed_rpm)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, fdtrc
@@ -24,8 +25,7 @@ EXACTLY = {"rounds": 2, "steps": 6}
 """Times that the noise is told anew, and steps between: while poles are looked for, and in the end."""
 
 
-@dataclass(frozen=True, eq=False)
-class SweepPole:
+class SweepPole(NamedTuple):
     """A pole in the signals of sweeps: ``frequency_hz``, ``damping``, ``covariance`` (2, 2) of (ln f, ln ζ).
 
     ``channels`` show it; ``orders`` are those whose amplitudes prove it, by chance no more often than stated;
@@ -66,8 +66,7 @@ class TileLooked:
     sent: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class GroupFit:
+class GroupFit(NamedTuple):
     """Poles that are told together: ``fit``, with one degree ``less``, and ``covariance`` (2 M, 2 M) of (ln f, ln ζ).
 
     ``poles`` are those of its poles that orders prove.
@@ -138,8 +137,7 @@ def _tiles(spectra: Sequence[SweepSpectrum]) -> list[tuple[float, float]]:
     if high <= low:
         return []
     count = min(NUMBERS.most_tiles, max(1, int(np.ceil(np.log(high / low) / NUMBERS.tile_share))))
-    edges = np.geomspace(low, high, count + 1).tolist()
-    return list(itertools.pairwise(edges))
+    return list(itertools.pairwise(np.geomspace(low, high, count + 1).tolist()))
 
 
 def _blur_hz(spectra: Sequence[SweepSpectrum], more: Sequence[float], low_hz: float, high_hz: float) -> float:
@@ -165,8 +163,7 @@ def _windows(
     return tuple(window for window in windows if window is not None)
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
+class _Search(NamedTuple):
     """Search of poles in ``spectra`` behind their orders, ``shown`` ones and ``more`` that may be, tile by tile."""
 
     spectra: tuple[SweepSpectrum, ...]
@@ -202,8 +199,7 @@ class _Search:
             if trial is None:
                 break
             fit = trial
-        others = [pole for pole in poles if not ends[0] < pole[0] < ends[1]]
-        poles = others + fit.poles
+        poles = [pole for pole in poles if not ends[0] < pole[0] < ends[1]] + fit.poles
         return TileLooked(poles, shown, fit.bare if trial is None else None, tried, sent=starts.beyond)
 
     def _with_pole(self, fit: LocalFit, starts: Starts) -> LocalFit | None:

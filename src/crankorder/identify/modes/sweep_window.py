@@ -8,7 +8,7 @@ the transform, one term 1 / (1 - exp((λ - iω) / rate)) of each mode (Pintelon 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -128,9 +128,8 @@ class SweepSpectrum:
         return np.asarray((hz >= low_hz) & (hz <= high_hz))
 
 
-def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpectrum, ...]:
+def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> Iterator[SweepSpectrum]:
     """SweepSpectrum of those ``followed`` (RecordingTracks) that hold ``fewest`` samples of a sweep or more."""
-    spectra = []
     for tracks in followed:
         if "waveform" not in tracks or tracks.sizes["sample"] < fewest:
             continue
@@ -140,7 +139,7 @@ def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpe
             parts -= 1
         n = parts * THINNED
         signals = signals[:, :n]
-        spectrum = SweepSpectrum(
+        yield SweepSpectrum(
             recording=str(tracks.attrs["recording"]),
             channels=tuple(str(name) for name in tracks["channel"].values),
             orders=tuple(sorted(tracks["order"].values.tolist())),
@@ -153,8 +152,6 @@ def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpe
             speed_rpm=tracks["waveform_speed"].values[:n],
             cycle_rev=int(tracks.attrs["revs_per_cycle"]),
         )
-        spectra.append(spectrum)
-    return tuple(spectra)
 
 
 @dataclass(eq=False)
@@ -188,8 +185,7 @@ class Window:
         """
         passing = tuple(order for order in sorted({*sweep.orders, *more}) if sweep.passes(order, low_hz, high_hz))
         at = (sweep.frequency_hz >= low_hz) & (sweep.frequency_hz <= high_hz)
-        fewest = 4 * (len(passing) * (degree + 2) + 4)
-        if not passing or np.count_nonzero(at) < fewest:
+        if not passing or np.count_nonzero(at) < 4 * (len(passing) * (degree + 2) + 4):
             return None
         window = cls(sweep, low_hz, high_hz, passing, degree, np.ones(int(at.sum())), np.ones(len(sweep.channels)))
         window.level = np.sqrt(np.mean(np.abs(window.measured) ** 2, axis=1))
@@ -557,8 +553,7 @@ class Solved:
         rung = (np.exp(np.outer(back, pole)).T @ force[len(force) - len(back) :]) * step
         lacking = pole**2 / (2j * pole.imag) * (before - rung)
         decay = np.exp(np.outer(time_s - sweep.start_s, pole) - 2j * np.pi * order * angle_rev[:, None])
-        place = window.orders.index(order)
-        return np.asarray((decay * lacking) @ self.residues[place])
+        return np.asarray((decay * lacking) @ self.residues[window.orders.index(order)])
 
     def _columns_of(self, order: float) -> NDArray[np.intp]:
         """Numbers of the columns of ``order``."""

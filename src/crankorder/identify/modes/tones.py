@@ -119,8 +119,7 @@ def widest_hz(problem: Problem, fit: SurfaceFit, number: int, least: float) -> f
     for _ in range(MOST_WIDTHS):
         if width >= SURFACE_FIT.widest_damping_ratio * f:
             return float(width)
-        poles = fit.poles.with_width(number, width)
-        if evaluate(problem, poles, fit.model).deviance > least + allowed:
+        if evaluate(problem, fit.poles.with_width(number, width), fit.model).deviance > least + allowed:
             break
         width *= WIDER
     return float(width)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -60,8 +61,7 @@ class _Cells:
         return replace(self, frequency_hz=self.frequency_hz[bins], **parts)
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+class _Fit(NamedTuple):
     """A ``line`` (Hz in the middle of the speeds, slope in orders, damping ratio) fitted to ``cells``.
 
     ``power`` (C, K) of the line, ``fixed`` (C, F) the spectrum that stays; ``covariance`` (3, 3) of (Hz, slope, ln
@@ -272,12 +272,9 @@ def _without(floor: Floor, cells: _Cells) -> Floor:
     rest = fixed[:, None] / np.maximum(fixed[:, None] + cells.beside, 1e-300)
     independent = (cells.averages * rest**2).sum(axis=1)
     masked, enough = rest < 1.0 - NUMBERS.masked_share, independent >= NUMBERS.least_averages
-    return replace(
-        floor,
-        cells=floor.cells * np.where(masked, np.nan, rest),
-        psd=np.where(masked.any(axis=1), np.where(enough, fixed, np.nan), floor.psd),
-        averages=np.where(masked.any(axis=1), np.where(enough, independent, 0.0), floor.averages),
-    )
+    psd = np.where(masked.any(axis=1), np.where(enough, fixed, np.nan), floor.psd)
+    averages = np.where(masked.any(axis=1), np.where(enough, independent, 0.0), floor.averages)
+    return replace(floor, cells=floor.cells * np.where(masked, np.nan, rest), psd=psd, averages=averages)
 
 
 DOUBT_NUMBERS = MethodNumbers("5-identify-modal.toml", "doubts")
@@ -354,9 +351,8 @@ def on_grid(frequency_hz: float, reach_hz: float, still: tuple[float, ...], floo
     multiple = round(frequency_hz / step) if step else 0
     if not multiple or reach_hz > DOUBT_NUMBERS.grid_reach * step or abs(frequency_hz - multiple * step) > reach_hz:
         return ""
-    return (
-        f"on the grid of the tones: {multiple} times {step:.4g} Hz, the step of most of them, and hardly wider than one"
-    )
+    times = f"{multiple} times {step:.4g} Hz"
+    return f"on the grid of the tones: {times}, the step of most of them, and hardly wider than one"
 
 
 def common_step(tones_hz: tuple[float, ...], near_hz: float) -> float:
@@ -397,9 +393,8 @@ def of_lines_within(problem: Problem, fit: SurfaceFit, number: int, floor: Floor
     own, lines = float(own_part[channel, within].sum()), float(np.nansum(np.maximum(over[on_line], 0.0)))
     if lines <= DOUBT_NUMBERS.lines_power_ratio * own:
         return ""
-    return (
-        f"lines within its width hold {lines / own:.2g} times its power: at one speed their modulation looks the same"
-    )
+    times = f"{lines / own:.2g} times its power"
+    return f"lines within its width hold {times}: at one speed their modulation looks the same"
 
 
 def of_the_air(modes: tuple[Mode, ...], campbell: xr.Dataset) -> tuple[Mode, ...]:
@@ -429,15 +424,10 @@ def without_remains(fit: ModalFit, whirls: tuple[Whirl, ...], speed_rpm: Floats)
     lost = {order for mode in fit.modes if any(_is_meeting(mode, w) for w in whirls) for order in mode.reached_by}
     at = [k for k, mode in enumerate(fit.modes) if not (remains[k] and (mode.undecided or mode.reached_by))]
     why = "it is on the path of a whirl and broader, and may be what the whirl leaves"
-    return replace(
-        fit,
-        modes=tuple(replace(fit.modes[k], undecided=why) if remains[k] else fit.modes[k] for k in at),
-        covariance=covariance_among(fit.covariance, at),
-        responses=tuple(
-            _of_modes(response, at, fits=response.fits and response.order not in lost) for response in fit.responses
-        ),
-        whirls=whirls,
-    )
+    modes = tuple(replace(fit.modes[k], undecided=why) if remains[k] else fit.modes[k] for k in at)
+    covariance = covariance_among(fit.covariance, at)
+    responses = tuple(_of_modes(each, at, fits=each.fits and each.order not in lost) for each in fit.responses)
+    return replace(fit, modes=modes, covariance=covariance, responses=responses, whirls=whirls)
 
 
 def _is_meeting(mode: Mode, whirl: Whirl) -> bool:
@@ -460,10 +450,6 @@ def _of_modes(response: OrderResponse, kept: Sequence[int], *, fits: bool) -> Or
     place = {old: new for new, old in enumerate(kept)}
     held = np.array([int(number) in place for number in response.reached], dtype=bool)
     rows = np.concatenate([np.arange(len(response.smooth)), len(response.smooth) + np.flatnonzero(held)])
-    return replace(
-        response,
-        residue=response.residue[list(kept)],
-        reached=np.array([place[int(number)] for number in response.reached[held]], dtype=np.int64),
-        covariance=response.covariance[np.ix_(rows, rows)],
-        fits=fits,
-    )
+    reached = np.array([place[int(number)] for number in response.reached[held]], dtype=np.int64)
+    residue, covariance = response.residue[list(kept)], response.covariance[np.ix_(rows, rows)]
+    return replace(response, residue=residue, reached=reached, covariance=covariance, fits=fits)
