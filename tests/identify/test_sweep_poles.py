@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import Mode as FoundMode
-from crankorder.identify.modes import sweep_poles
+from crankorder.identify.modes import sweep_fit, sweep_poles
 from crankorder.identify.modes.sweep_poles import sweep_fits
 from crankorder.identify.modes.sweep_window import SweepSpectrum
 from crankorder.orders.intervals import Z95, ratio_interval
@@ -54,6 +54,15 @@ def test_a_mode_is_told_to_a_part_of_its_width_whatever_the_rate(rpm_per_s, damp
     assert abs(near[0].frequency_hz - 81.3) < 0.1 * damping * 81.3  # of its half width
     assert abs(near[0].frequency_hz - 81.3) < 4.0 * near[0].frequency_error_hz
     assert near[0].damping == pytest.approx(damping, rel=0.15)
+
+
+def test_places_told_in_parts_give_the_poles_of_all_at_once(monkeypatch):
+    machine = a_machine((81.3, 0.02), rpm=(2000.0, 2900.0), seconds=8.0)
+    (whole,) = told(machine).poles
+    monkeypatch.setattr(sweep_fit, "MOST_VALUES", 1 << 12)
+    (in_parts,) = told(machine).poles
+    assert in_parts.frequency_hz == pytest.approx(whole.frequency_hz, rel=1e-9)
+    assert in_parts.damping == pytest.approx(whole.damping, rel=1e-6)
 
 
 def test_noise_alone_has_no_modes():
