@@ -12,7 +12,7 @@ from crankorder import scratch
 from crankorder.errors import EnvironmentFailure
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.recording import read_recording
-from crankorder.ingest.signal_faults import mend_signal
+from crankorder.ingest.signal_faults import mend_signal, survey
 from crankorder.scratch import BLOCK_SAMPLES, empty, empty_like, is_on_disk, scratch_folder
 
 N = 3 * BLOCK_SAMPLES + 17
@@ -86,6 +86,16 @@ def test_a_fault_across_the_border_of_two_blocks_is_one_fault(limits):
         assert [name for name, _ in faults_of(signal, limits)] == ["non_finite_interpolated"]
         line = np.linspace(*NOISE[0, [border - 1, border + 3]], 5)
         np.testing.assert_allclose(signal[border - 1 : border + 4], line, rtol=1e-12)
+
+
+@pytest.mark.parametrize("wild", [1e18, -1.9e19, 1e20, 1e30])
+@pytest.mark.parametrize("place", [10, 5_000, 9_999])
+def test_a_wild_sample_is_surveyed_in_single_precision_as_in_double(wild, place):
+    signal = np.random.default_rng(1).normal(size=10_000).astype(np.float32)
+    signal[place] = wild
+    single, double = (survey(values, size=64) for values in (signal, signal.astype(np.float64)))
+    assert single.means == pytest.approx(double.means, rel=1e-3, abs=1e-2)
+    assert single.variances == pytest.approx(double.variances, rel=1e-3)
 
 
 def test_a_file_of_samples_has_no_name_and_its_whole_size_from_the_start(tmp_path, monkeypatch):
