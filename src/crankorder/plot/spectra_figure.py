@@ -322,10 +322,6 @@ def order_spectra(order_map: xr.Dataset, findings: Findings | Mapping[str, objec
 
     ``order_map`` is an OrderMap of :func:`crankorder.order_map`; orders in ``findings`` of :func:`crankorder.diagnose`
     are ringed and named. Raises RequestError for another dataset or no findings.
-
-    >>> import numpy as np, crankorder as co
-    >>> signal = np.cos(2 * np.pi * 75.0 * np.arange(40_000) / 10_000.0)
-    >>> figure = co.plot.order_spectra(co.order_map(co.recording(signal, rate_hz=1e4, speed_rpm=1500.0)))
     """
     return whole_picture(order_spectra_figure, order_map, findings, "order_map", "order_spectra")
 
