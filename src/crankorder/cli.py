@@ -88,9 +88,9 @@ def _open_streams() -> None:
         except OSError:
             if os.open(os.devnull, os.O_RDWR) == number:
                 setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
-    if sys.stderr is not None and sys.stderr is sys.__stderr__:
+    if (stream := sys.__stderr__) is not None and sys.stderr is stream:
         unbuffered = open(2, "wb", buffering=0, closefd=False)  # noqa: SIM115
-        sys.stderr = _Remarks(unbuffered, sys.stderr.encoding, "backslashreplace", write_through=True)
+        sys.stderr = _Remarks(unbuffered, stream.encoding, "backslashreplace", write_through=True)
 
 
 class _Remarks(io.TextIOWrapper):
