@@ -23,12 +23,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from crankorder.plot.campbell_figure import campbell, order_map
     from crankorder.plot.cycle_figure import cycle, shapes
-    from crankorder.plot.orders_figure import orders, speed
-    from crankorder.plot.spectra_figure import envelope, order_spectra, spectra
+    from crankorder.plot.orders_figure import order_spectra, orders, speed
+    from crankorder.plot.spectra_figure import envelope, spectra
 
 __all__ = ["campbell", "cycle", "envelope", "order_map", "order_spectra", "orders", "shapes", "spectra", "speed"]
 _HOMES = {
-    "order_map": "campbell", "envelope": "spectra", "order_spectra": "spectra", "speed": "orders", "shapes": "cycle",
+    "order_map": "campbell", "envelope": "spectra", "order_spectra": "orders", "speed": "orders", "shapes": "cycle",
 }  # fmt: skip
 
 

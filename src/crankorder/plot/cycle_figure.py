@@ -81,6 +81,11 @@ def cycle(cycle_average: xr.Dataset, findings: Findings | Mapping[str, object] |
 
     ``cycle_average`` is the branch of that name of results by the recipe ``waveforms``, ``findings`` are those of the
     test, which give its name. Raises RequestError for another dataset or no findings.
+
+    >>> import crankorder as co, tempfile
+    >>> with tempfile.TemporaryDirectory() as work:
+    ...     folders = co.synthesise("hard-two-revolutions", work + "/test", quick=True)
+    ...     figure = co.plot.cycle(co.run(folders, out=work + "/out", recipe="waveforms")["cycle_average"])
     """
     return whole_picture(cycle_figure, cycle_average, findings, "cycle_average", "cycle")
 
@@ -90,6 +95,11 @@ def shapes(operating_shapes: xr.Dataset, findings: Findings | Mapping[str, objec
 
     ``operating_shapes`` is the branch of that name of results by the recipe ``waveforms``, ``findings`` are those of
     the test, which give its name. Raises RequestError for another dataset or no findings.
+
+    >>> import crankorder as co, tempfile
+    >>> with tempfile.TemporaryDirectory() as work:
+    ...     folders = co.synthesise("hard-two-revolutions", work + "/test", quick=True)
+    ...     figure = co.plot.shapes(co.run(folders, out=work + "/out", recipe="waveforms")["operating_shapes"])
     """
     return whole_picture(shapes_figure, operating_shapes, findings, "operating_shapes", "shapes")
 

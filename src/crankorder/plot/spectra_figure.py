@@ -6,7 +6,7 @@ Order spectra of the envelope, too: strikes in bearings, with the lines that eac
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import takewhile
 from textwrap import wrap
@@ -75,7 +75,6 @@ from crankorder.settings import ReportSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _LEFT, _BOTTOM, _TOP, _BETWEEN, _RIGHT, _ROW_GAP = 1.0, 0.7, 1.06, 0.95, 0.3, 0.16  # inches
 _ONE_AXIS, _ORDER_AXIS, _TWO_TIERS, _CAUSES, _LINE = 0.8, 0.6, 1.22, 2.1, 0.15  # of one spectrum and its list of causes
@@ -315,15 +314,6 @@ def _mean_levels(order_map: xr.Dataset) -> tuple[Floats, Floats]:
         levels = np.log(np.stack([amplitude, np.nanmedian(windows, axis=-1)]))
         mean, floor = np.exp(np.nanmean(np.where(np.isfinite(levels).all(axis=0), levels, np.nan), axis=2))
     return mean, floor
-
-
-def order_spectra(order_map: xr.Dataset, findings: Findings | Mapping[str, object] | None = None) -> Figure:
-    """Mean level of each order over the speeds above the floor around it, a panel per channel; returns the figure.
-
-    ``order_map`` is an OrderMap of :func:`crankorder.order_map`; orders in ``findings`` of :func:`crankorder.diagnose`
-    are ringed and named. Raises RequestError for another dataset or no findings.
-    """
-    return whole_picture(order_spectra_figure, order_map, findings, "order_map", "order_spectra")
 
 
 def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | None = None) -> Axes:
