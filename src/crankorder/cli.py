@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import gc
+import io
 import os
 import shutil
 import signal
@@ -87,6 +88,18 @@ def _open_streams() -> None:
         except OSError:
             if os.open(os.devnull, os.O_RDWR) == number:
                 setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
+    if (stream := sys.__stderr__) is not None and sys.stderr is stream:
+        unbuffered = open(2, "wb", buffering=0, closefd=False)  # noqa: SIM115
+        sys.stderr = _Remarks(unbuffered, stream.encoding, "backslashreplace", write_through=True)
+
+
+class _Remarks(io.TextIOWrapper):
+    """Standard error where a remark that cannot be written, as on a full disk, is lost: the work goes on."""
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError):
+            super().write(text)
+        return len(text)
 
 
 def _terminated(signum: int, frame: object) -> NoReturn:
@@ -191,6 +204,10 @@ def _picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option(
     "--scheduler", metavar="ADDRESS", help="Analyse recordings on a Dask cluster, such as tcp://host:8786 (extra dist)."
 )
+@click.option(
+    "--keep-frames", "keep_mb", type=click.FloatRange(0), default=2000, show_default=True, metavar="MB",
+    help="Most that is kept in OUT of these recordings, so that a further run need not compute them; 0 keeps nothing.",
+)  # fmt: skip
 @click.option("--log-json", is_flag=True, help="The log in OUT/.crankorder-logs as JSON lines.")
 @click.option("--strict", is_flag=True, help='Leave out recordings with flags of severity "suspect".')
 @_picture_options
@@ -204,6 +221,7 @@ def run(
     reduce: bool,
     timeout_s: float | None,
     scheduler: str | None,
+    keep_mb: float,
     log_json: bool,
     strict: bool,
     jobs: int,
@@ -247,6 +265,8 @@ def run(
         for fault in planned.refused:
             tell("not analysed", why=fault)
         status = _run_plans(plans, out, options, as_json, quiet, verbose)
+        if shard is None:
+            _prune(plans, out, keep_mb, quiet)
         tell("run ended", status=status)
     sys.exit(status or (3 if planned.refused else 0))
 
@@ -282,6 +302,16 @@ def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, 
     if worst is None and statuses and all(status == 4 for status in statuses):
         return 4
     return worst or (3 if any(statuses) else 0)
+
+
+def _prune(plans: list[Any], out: Path, keep_mb: float, quiet: bool) -> None:
+    """Leave at most ``keep_mb`` megabytes of what the recordings of these tests gave, and say how much it is."""
+    from crankorder.batch.frame_store import STORE, FrameStore, prune
+
+    left = prune([FrameStore.of(plan.out).folder for plan in plans], most_bytes=1e6 * keep_mb)[2]
+    if left and not quiet:
+        kept = f"{left / 1e6:.3g} MB in {printable(out / STORE)} spare a further run the computing"
+        click.echo(f"{kept} (less: --keep-frames MB, none: crankorder clean)", err=True)
 
 
 def _started(plans: list[Any], jobs: int) -> ReportingProcess:
@@ -412,12 +442,16 @@ def accuracy(out: Path, on: Path | None, draws: int) -> None:
 
 @main.command()
 @click.argument("out", type=FOLDER)
-def clean(out: Path) -> None:
+@click.option(
+    "--unused", "days", type=click.FloatRange(0), default=0, metavar="DAYS", help="Only what no run has used for DAYS."
+)
+def clean(out: Path, days: float) -> None:
     """Remove from OUT what `run` keeps of single recordings, so that it need not compute them again; results stay."""
-    from crankorder.batch.frame_store import clean
+    from crankorder.batch.frame_store import STORE, prune
 
-    count, size = clean(out)
-    click.echo(f"{printable(out)}: {count} files, {size / 1e6:.1f} MB removed", err=True)
+    count, size, left = prune([out / STORE], unused_s=86400 * days)
+    stays = f"; {left / 1e6:.1f} MB used since then stay" if left else ""
+    click.echo(f"{printable(out)}: {count} files, {size / 1e6:.1f} MB removed{stays}", err=True)
 
 
 @main.command()
@@ -554,31 +588,12 @@ def demo(out: Path, quick: bool, jobs: int, as_json: bool, quiet: bool, verbose:
 @main.command()
 @click.option("--out", type=FOLDER, default=Path(), show_default="this folder", help="Folder to test for results.")
 def doctor(out: Path) -> None:
-    """Versions, FFTW, free space and a known-answer self-test."""
-    import platform
-    from importlib.metadata import PackageNotFoundError, version
+    """Versions, processor, FFTW, free space, and whether known answers hold."""
+    from crankorder.batch.accuracy import known_answers, surroundings
 
-    import numpy as np
-
-    from crankorder.batch.store import library_versions
-    from crankorder.fft.plans import fft_library
-    from crankorder.fft.transforms import FrameTransform
-    from crankorder.fft.windows import hann
-
-    lines = [f"crankorder {version('crankorder')}, Python {platform.python_version()}"]
-    lines += [f"{name} {number}" for name, number in library_versions().items() if name != "crankorder"]
-    try:
-        lines.append(f"python-calamine {version('python-calamine')}: XLSX recordings can be read")
-    except PackageNotFoundError:
-        lines.append("python-calamine is missing: for XLSX recordings `pip install crankorder[xlsx]`")
-    existing = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
-    lines.append(f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB")
-    # the spectrum of cos(2 pi 5 t + 1) at its bin is exp(1j)
-    cosine = np.cos(2.0 * np.pi * 5.0 * np.arange(64) / 64 + 1.0)[None, :]
-    error = float(abs(FrameTransform(hann(64)).spectra(cosine, np.array([0]))[0, 0, 5] - np.exp(1j)))
-    healthy = error < 1e-12
-    said = f"a cosine of amplitude 1 is found to {error:.1e}: {'good' if healthy else 'BAD'}"
-    lines.append(f"known answer ({fft_library()}): {said}")
-    click.echo("\n".join(lines))
-    if not healthy:
-        raise EnvironmentFailure("the self-test failed", remedy="Reinstall crankorder in a new environment")
+    click.echo("\n".join(surroundings(out)))
+    answers = known_answers()
+    for answer in answers:
+        click.echo(f"{answer.question}: error {answer.error:.1e}: {'good' if answer.holds else 'BAD'}")
+    if not all(answer.holds for answer in answers):
+        raise EnvironmentFailure("a known answer does not hold", remedy="Reinstall crankorder in a new environment")

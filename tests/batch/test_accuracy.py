@@ -9,6 +9,7 @@ import crankorder as co
 from crankorder.batch import accuracy
 from crankorder.batch.accuracy import accuracy_on, publish_accuracy
 from crankorder.errors import RequestError
+from made.command import crankorder
 
 
 def test_every_map_keeps_the_error_that_it_foretells_and_what_is_written_was_measured(tmp_path, monkeypatch):
@@ -44,3 +45,10 @@ def test_without_results_nothing_is_written(tmp_path):
     with pytest.raises(RequestError, match="no finished results"):
         publish_accuracy(tmp_path / "acc", on=tmp_path)
     assert not (tmp_path / "acc").exists()
+
+
+def test_the_doctor_names_an_answer_that_does_not_hold(monkeypatch):
+    sound = crankorder("doctor")
+    monkeypatch.setattr(accuracy, "even_harmonics", lambda count, ratio: np.full(count, ratio))
+    wrong = crankorder("doctor")
+    assert (sound.exit_code, wrong.exit_code) == (0, 5) and "BAD" not in sound.output and wrong.output.count("BAD") == 1

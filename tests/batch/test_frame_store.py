@@ -1,13 +1,15 @@
 """What recordings gave is kept by content: exact, damaged by nobody, and reused where nothing that matters changed."""
 
+import os
 import shutil
+import time
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from crankorder.batch import execute
-from crankorder.batch.frame_store import STORE, FrameStore, PackedResult
+from crankorder.batch.frame_store import STORE, FrameStore, PackedResult, prune
 from crankorder.batch.plan import plan_tests
 from crankorder.batch.run_log import LOGS
 from crankorder.checks.doubts import RecordingResult
@@ -118,12 +120,34 @@ def test_only_what_changed_is_analysed_again_and_the_bytes_are_those_of_a_fresh_
 
 
 def test_clean_removes_what_is_kept_and_nothing_else(two, tmp_path):
-    run(two, "--out", tmp_path / "out", "-q", "--recipe", "maps")
+    said = run(two, "--out", tmp_path / "out", "--recipe", "maps").output
+    size = sum(path.stat().st_size for path in (tmp_path / "out" / STORE).rglob("*.frames"))
+    assert f"{size / 1e6:.3g} MB" in said
     outcome = crankorder("clean", tmp_path / "out")
     assert outcome.exit_code == 0 and "2 files" in outcome.output
     left = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert left[:3] == [LOGS, "batch.json", "index.html"]
     assert "unchanged" in run(two, "--out", tmp_path / "out", "--recipe", "maps").output
+
+
+def test_what_is_kept_stays_within_the_size_asked_for_and_the_longest_unused_goes_first(tmp_path):
+    for seed in range(20):
+        rng, store = np.random.default_rng(seed), tmp_path / str(seed)
+        sizes, most, ages = rng.integers(1, 1000, 12), int(rng.integers(0, 7000)), rng.permutation(12) * 100.0 + 50
+        store.mkdir()
+        for number, (size, age) in enumerate(zip(sizes, ages, strict=True)):
+            (store / f"{number}.frames").write_bytes(bytes(size))
+            os.utime(store / f"{number}.frames", (time.time() - age,) * 2)
+        unused = float(rng.choice([0, 400]))
+        removed, size, left = prune([store], most_bytes=most, unused_s=unused)
+        stays = {int(path.stem) for path in store.glob("*")}
+        assert len(stays) == 12 - removed and size == sum(sizes) - left and left == sum(sizes[sorted(stays)])
+        oldest = max([*ages[sorted(stays)], 0])
+        assert left <= most or oldest < unused
+        gone = [number for number in range(12) if number not in stays]
+        assert all(ages[number] > oldest for number in gone)
+        # no more than was needed: with the youngest of them it would have been too much
+        assert not gone or left + sizes[min(gone, key=ages.__getitem__)] > most
 
 
 def test_shards_and_their_reduction_give_the_bytes_of_one_run(two, tmp_path, monkeypatch):

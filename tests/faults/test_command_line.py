@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from crankorder.batch.frame_store import STORE
 from made.processes import PATIENCE_S, children_of, processor_s, started
 
 
@@ -89,6 +90,17 @@ def test_i8_a_full_standard_output_is_exit_5():
     with Path("/dev/full").open("wb") as full:
         made, _ = crankorder("balance", "msu-optical-second", "--json", stdout=full, stderr=subprocess.PIPE)
     assert made.returncode == 5 and b"Traceback" not in made.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize("kept", [1, 0])
+def test_i8_a_full_standard_error_loses_its_remarks_and_nothing_else(recordings_of, tmp_path, kept):
+    arguments = ("run", recordings_of("hard-two-revolutions"), "--recipe", "maps", "--json", "--keep-frames", kept)
+    with Path("/dev/full").open("wb") as full:
+        made, _ = crankorder(*arguments, "--out", tmp_path / "out", stdout=subprocess.PIPE, stderr=full)
+        refused, _ = crankorder("run", tmp_path / "none", "--out", tmp_path / "a", stderr=full)
+    assert (made.returncode, refused.returncode) == (0, 2) and json.loads(made.stdout)["tests"][0]["status"] == "done"
+    assert any((tmp_path / "out" / STORE).rglob("*.frames")) == bool(kept)
 
 
 def test_i8_a_closed_stderr_and_no_home_change_nothing(tmp_path):

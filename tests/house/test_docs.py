@@ -1,8 +1,13 @@
 """What the documentation says is true of the program: keys, rooms, numbers."""
 
+import importlib
+import os
 import re
+import sys
+from pathlib import Path
 from typing import get_args
 
+import pytest
 from pydantic import BaseModel, ValidationError
 
 from crankorder.ingest.manifest import Manifest
@@ -91,3 +96,19 @@ def test_pages_that_are_executed_are_executed_in_short_too(project_root):
     blocks = re.compile(r"^```\{(run|python)\}", re.MULTILINE)
     pages = {page for page in (project_root / "docs").rglob("*.md") if "_build" not in page.parts}
     assert not [page.name for page in pages - run if blocks.search(page.read_text(encoding="utf-8"))]
+
+
+@pytest.mark.slow
+def test_the_six_tasks_run_in_a_notebook_and_show_pictures_and_pages(project_root, tmp_path, monkeypatch):
+    nbformat, nbclient = pytest.importorskip("nbformat.v4"), pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    monkeypatch.syspath_prepend(str(project_root / "docs"))
+    blocks = importlib.import_module("executed").blocks_of((project_root / "docs/notebook.md").read_text("utf-8"))
+    monkeypatch.setenv("DOCS", str(project_root / "docs"))
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # as in a notebook: pictures stand below their cell
+    cells = [nbformat.new_code_cell(("%%sh\n" if block.kind == "run" else "") + block.code) for block in blocks]
+    notebook = nbformat.new_notebook(cells=cells)
+    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    shown = [kind for cell in cells for output in cell.outputs for kind in output.get("data", {})]
+    assert shown.count("image/png") == 3 and shown.count("text/html") >= 3

@@ -42,6 +42,8 @@ def test_constraints_pin_every_dependency_within_its_bounds(project_root):
     wanted = [Requirement(text) for group in groups for text in group if not text.startswith("crankorder")]
     pinned = {need: pins.get(canonicalize_name(need.name), "0") for need in wanted}
     assert {str(need): pin for need, pin in pinned.items() if not need.specifier.contains(pin)} == {}
+    notice = (project_root / "NOTICE").read_text(encoding="utf-8")
+    assert [need.name for need in map(Requirement, project["dependencies"]) if need.name not in notice] == []
 
 
 def test_no_file_names_a_path_of_this_machine_or_a_package_host_and_none_is_large(project_root, project_files):

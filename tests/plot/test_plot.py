@@ -24,6 +24,7 @@ from crankorder.plot.painter import PaintedPanel
 from crankorder.report.netcdf import plain_attrs
 from crankorder.report.pictures import pictures_of
 from crankorder.settings import load_settings
+from made.command import done
 from made.typed import findings_of
 
 RATE_HZ = 2048.0
@@ -209,6 +210,21 @@ def test_notebooks_draw_what_pages_draw_where_the_axes_have_it(steady):
     assert content(own) == content(page) and all(repr(key) in content(own) for key in KEYS)
     for line in own.strokes("order-"):
         assert line.points * axes.figure.dpi == pytest.approx(axes.transData.transform(np.column_stack(line.values)))
+
+
+def test_every_picture_of_a_report_is_one_of_a_notebook(steady, tmp_path, recordings_of):
+    done("run", recordings_of("hard-two-revolutions"), "--recipe", "waveforms", "--out", tmp_path, "-q")
+    tree = co.open(tmp_path / "two-revolutions")
+    names = {path.stem.partition("_Z")[0] for path in (tmp_path / "two-revolutions").glob("*.png")}
+    assert {name for name in names if not name.endswith(("_X", "_Y"))} <= {*plot.__all__}
+    for name, branch in (("cycle", "cycle_average"), ("shapes", "operating_shapes"), ("order_spectra", "order_map")):
+        [shown] = getattr(co.plot, name)(tree[branch]).artists
+        page = pictures_of(
+            {branch: tree[branch].to_dataset()}, findings_of({}), settings=load_settings().report, name_of=str
+        )
+        assert content(shown.drawing()) == content(page[f"{name}.png"].figure())
+        with pytest.raises(RequestError, match="not what this picture shows"):
+            getattr(co.plot, name)(steady.campbell)
 
 
 def test_labels_follow_when_one_zooms(steady):

@@ -8,9 +8,9 @@ from scipy.special import stdtrit
 
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.orders.shapes import operating_shapes
+from crankorder.plot.cycle_figure import cycle_figure, shapes_figure
 from crankorder.plot.drawing import Area
 from crankorder.plot.painter import picture_bytes
-from crankorder.report.cycle_figure import cycle_figure, shapes_figure
 from crankorder.settings import load_settings
 from made.recordings import frames_of, line, steady, total
 from made.typed import from_dicts

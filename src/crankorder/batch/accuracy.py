@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import platform
+import re
+import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -18,8 +24,13 @@ from scipy.ndimage import binary_dilation, label, median_filter
 from crankorder.batch.compare import refuse_results
 from crankorder.batch.execute import analysed, engine_of
 from crankorder.batch.result_folder import publish, read_document, result_folders
-from crankorder.batch.store import json_bytes, text_sha256
+from crankorder.batch.store import json_bytes, library_versions, text_sha256
+from crankorder.engine.slider_crank import even_harmonics
 from crankorder.errors import CrankorderError, RequestError
+from crankorder.fft.plans import fft_library
+from crankorder.fft.resampling import values_at
+from crankorder.fft.transforms import FrameTransform
+from crankorder.fft.windows import hann
 from crankorder.findings import Findings
 from crankorder.ingest.manifest import manifest_head, manifest_of
 from crankorder.ingest.rawfile import RawFile
@@ -34,6 +45,9 @@ TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 RATE_HZ, SECONDS, SPEED_RPM, PULSES = 20_000.0, 20.0, 1500.0, 360
 LINES = {0.5: 0.3, 1.0: 1.0, 2.0: 4.0, 5.5: 0.2, 11.0: 0.05}
 """Amplitude, m/s², by order, of the signal whose map is timed."""
+
+_READERS = {"python_calamine": "XLSX", "nptdms": "TDMS", "asammdf": "MDF4", "idelib": "enDAQ IDE"}
+"""Packages that read formats which the basic installation does not, by the name that is imported."""
 
 REPEATS = 3
 """Times that a map is made; the fastest counts."""
@@ -470,3 +484,54 @@ def _pulse_times(twin: Twin, time: Floats, turns: Floats) -> tuple[Floats, Float
         at = np.interp(np.arange(np.ceil(turns[-1] * per_rev)) / per_rev, turns, time)
         times.append(np.ceil(at / twin.pulse_step_s) * twin.pulse_step_s if twin.pulse_step_s else at)
     return times[0], times[1]
+
+
+class KnownAnswer(NamedTuple):
+    """A calculation whose answer is known: its ``error`` relative to the answer, and the largest that is sound."""
+
+    question: str
+    error: float
+    allowed: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the error is one of rounding, or of the method as it is stated."""
+        return self.error <= self.allowed  # not so where it is not a number
+
+
+def known_answers() -> list[KnownAnswer]:
+    """Errors of the transform, of the resampling kernel and of an engine's second order, in less than two seconds.
+
+    The answers: exp(1j), the line of cos(2π·5t + 1); a cosine between its samples; the second order of the piston at
+    λ = 0.3, 4/λ times the Fourier coefficient of √(1 − λ² sin²φ), by a sum over 256 crank angles.
+    """
+    cosine = np.cos(2 * np.pi * 5 * np.arange(64) / 64 + 1)[None]
+    line = FrameTransform(hann(64)).spectra(cosine, np.array([0]))[0, 0, 5]
+    times = np.linspace(100, 900, 1001)
+    between = values_at(np.cos(0.2 * np.pi * np.arange(1000.0))[None], times)[0] - np.cos(0.2 * np.pi * times)
+    ratio, angle = 0.3, 2 * np.pi * np.arange(256) / 256
+    fourier = 8 / ratio * np.mean(np.sqrt(1 - (ratio * np.sin(angle)) ** 2) * np.cos(2 * angle))
+    second = even_harmonics(1, ratio)[0] / fourier - 1
+    return [
+        KnownAnswer(f"spectrum of a cosine, by {fft_library()}", float(abs(line - np.exp(1j))), 1e-12),
+        KnownAnswer("cosine between its samples, by compiled kernels", float(np.abs(between).max()), 1e-7),
+        KnownAnswer("second order of a crank, against its Fourier integral", float(abs(second)), 1e-12),
+    ]
+
+
+def surroundings(out: Path) -> list[str]:
+    """Lines on this machine: versions, processor and threads, formats that can be read, and space for ``out``."""
+    versions = library_versions()
+    lines = [f"crankorder {versions.pop('crankorder')}, Python {platform.python_version()}, {platform.platform()}"]
+    lines.append(", ".join(f"{name} {number}" for name, number in versions.items()))
+    processor = platform.processor() or platform.machine()
+    with contextlib.suppress(OSError):  # Linux alone
+        named = re.search(r"^model name\s*: (.+)$", Path("/proc/cpuinfo").read_text("utf-8"), re.MULTILINE)
+        processor = named[1] if named else processor
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    lines.append(f"processor: {processor}, {usable} cores; a thread for each recording, {fft_library()} transforms")
+    for name, what in _READERS.items():
+        there = f"by {name}" if find_spec(name) else "pip install 'crankorder[formats]' reads them"
+        lines.append(f"{what}: {there}")
+    existing = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
+    return [*lines, f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB"]

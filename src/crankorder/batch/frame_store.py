@@ -7,7 +7,9 @@ import hashlib
 import json
 import os
 import shutil
+import stat
 import tempfile
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -61,6 +63,8 @@ class FrameStore:
         """Result that was kept under ``key``; None where there is none, or where it is damaged."""
         try:
             PackedResult.checked(np.fromfile(self.path(key), dtype=np.uint8))
+            with contextlib.suppress(OSError):
+                os.utime(self.path(key))
             return PackedResult(self.path(key))
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -91,13 +95,29 @@ class FrameStore:
                     path.unlink(missing_ok=True)
 
 
-def clean(out: Path) -> tuple[int, int]:
-    """Number and bytes of the kept files that were removed from the folder of results ``out``."""
-    files = [path for path in (out / STORE).rglob("*") if path.is_file()]
-    size = sum(path.stat().st_size for path in files)
-    if (out / STORE).is_dir():
-        shutil.rmtree(out / STORE)
-    return len(files), size
+def prune(stores: Iterable[Path], *, most_bytes: float = 0, unused_s: float = 0) -> tuple[int, int, int]:
+    """Remove kept files in the folders ``stores``, those longest unused first, until ``most_bytes`` are left.
+
+    Files that were used within the last ``unused_s`` seconds stay. Returns the number and the bytes of what was
+    removed, and the bytes that are left.
+    """
+    files = list[tuple[float, int, Path]]()
+    for path in (path for store in stores for path in store.rglob("*")):
+        with contextlib.suppress(OSError):
+            state = path.lstat()
+            if not stat.S_ISDIR(state.st_mode):
+                files.append((state.st_mtime, state.st_size, path))
+    left = sum(size for _, size, _ in files)
+    count, before = 0, left
+    for used, size, path in sorted(files):
+        if left <= most_bytes or time.time() - used < unused_s:
+            break
+        path.unlink(missing_ok=True)
+        count, left = count + 1, left - size
+    for folder in (folder for store in stores for folder in (*store.glob("*/"), store)):
+        with contextlib.suppress(OSError):  # not empty, or already gone
+            folder.rmdir()
+    return count, before - left, left
 
 
 class PackedResult(RecordingResult):

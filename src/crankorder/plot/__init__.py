@@ -1,7 +1,7 @@
 """Pictures for notebooks: each is one function of data and, where given, of the axes to draw on, which it returns.
 
 ``co.plot.campbell``, ``order_map``, ``orders``, ``envelope``, ``spectra`` and ``speed`` draw what the functions of the
-front door make. From samples to a picture:
+front door make, ``order_spectra``, ``cycle`` and ``shapes`` whole figures of all channels. From samples to a picture:
 
 >>> import numpy as np, crankorder as co
 >>> time = np.arange(40_000) / 10_000.0
@@ -22,17 +22,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from crankorder.plot.campbell_figure import campbell, order_map
-    from crankorder.plot.orders_figure import orders, speed
+    from crankorder.plot.cycle_figure import cycle, shapes
+    from crankorder.plot.orders_figure import order_spectra, orders, speed
     from crankorder.plot.spectra_figure import envelope, spectra
 
-__all__ = ["campbell", "envelope", "order_map", "orders", "spectra", "speed"]
+__all__ = ["campbell", "cycle", "envelope", "order_map", "order_spectra", "orders", "shapes", "spectra", "speed"]
+_HOMES = {
+    "order_map": "campbell", "envelope": "spectra", "order_spectra": "orders", "speed": "orders", "shapes": "cycle",
+}  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'crankorder.plot' has no attribute {name!r}; it has {', '.join(__all__)}")
-    home = {"order_map": "campbell", "envelope": "spectra", "speed": "orders"}.get(name, name)
-    return getattr(import_module(f"crankorder.plot.{home}_figure"), name)
+    return getattr(import_module(f"crankorder.plot.{_HOMES.get(name, name)}_figure"), name)
 
 
 def __dir__() -> list[str]:

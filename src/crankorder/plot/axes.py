@@ -14,14 +14,16 @@ import xarray as xr
 from crankorder.channel_units import by_channel, unit_text
 from crankorder.errors import InputError, RequestError, SchemaError
 from crankorder.findings import SCHEMA_VERSION, Findings
-from crankorder.plot.drawing import ORDER, Panel, decade_text, log_steps
+from crankorder.plot.drawing import ORDER, Drawing, Panel, decade_text, log_steps
 from crankorder.plot.labels import Key, draw_keys
 from crankorder.plot.palette import FAINT, GRID, INK, LARGE, NORMAL, SMALL, WHITE
 from crankorder.plot.reading import scaling_text
 from crankorder.quantities import Floats, check_dataset
+from crankorder.settings import load_settings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _NOUNS = {
     "recording": "a Recording",
@@ -30,6 +32,8 @@ _NOUNS = {
     "campbell_map": "a CampbellMap, as crankorder.campbell_map makes it",
     "order_tracks": "OrderTracks, as crankorder.order_tracks makes them",
     "envelope_map": "an EnvelopeMap, as crankorder.envelope makes it",
+    "cycle_average": "a CycleAverage, as the recipe waveforms leaves it in results",
+    "operating_shapes": "OperatingShapes, as the recipe waveforms leaves them in results",
 }
 _TREE: Any = getattr(xr, "DataTree", ())  # older xarray has none
 _NOTHING: Mapping[str, object] = {
@@ -187,6 +191,23 @@ def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: decade_text(value)))
     else:
         axes.set_ylim(*y)
+
+
+def whole_picture(figure: Callable[..., Drawing], given: object, findings: object, noun: str, picture: str) -> Figure:
+    """The ``picture`` of all channels as in a report, by its ``figure``, on a new figure of pyplot's.
+
+    ``given`` is a dataset of the ``noun`` as :func:`dataset_of` takes it, ``findings`` are as :func:`findings_of` does.
+    """
+    import matplotlib.pyplot as plt
+
+    from crankorder.plot.painter import Painted
+
+    drawing = figure(
+        dataset_of(given, noun, picture), findings_of(findings, picture), settings=load_settings(None).report
+    )
+    shown = plt.figure(figsize=(drawing.width_in, drawing.height_in), facecolor=WHITE)
+    shown.add_artist(Painted(drawing))
+    return shown
 
 
 def painted(axes: Axes, content: Callable[[Panel], object]) -> Axes:

@@ -5,7 +5,7 @@ Speed against time shows how the machine was driven, and how unevenly it turned 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 from crankorder.channel_units import unit_text
 from crankorder.errors import RequestError
 from crankorder.findings import Findings
-from crankorder.plot.axes import axes_for, channel_of, dataset_of, dress, painted, scale, y_label
+from crankorder.plot.axes import axes_for, channel_of, dataset_of, dress, painted, scale, whole_picture, y_label
 from crankorder.plot.campbell_figure import gaps_before, speed_cells
 from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_column, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.reading import names_of_orders, nominal_order, speed_text
+from crankorder.plot.spectra_figure import order_spectra_figure
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ReportSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _LEFT, _BOTTOM, _TOP, _GUTTER = 1.0, 0.7, 0.98, 0.95  # margins in inches; the gutter holds labels and the next axis
 _COLUMNS = 4
@@ -245,6 +247,19 @@ def _label_lines(panel: Panel, shown: ShownTracks, channel: int) -> None:
     else:
         panel.note("no order stands clear", at_in=bottom + height / 2 + 0.09)
         panel.note("of the noise", at_in=bottom + height / 2 - 0.09)
+
+
+def order_spectra(order_map: xr.Dataset, findings: Findings | Mapping[str, object] | None = None) -> Figure:
+    """Mean level of each order over the speeds above the floor around it, a panel per channel; returns the figure.
+
+    ``order_map`` is an OrderMap of :func:`crankorder.order_map`; orders in ``findings`` of :func:`crankorder.diagnose`
+    are ringed and named. Raises RequestError for another dataset or no findings.
+
+    >>> import numpy as np, crankorder as co
+    >>> signal = np.cos(2 * np.pi * 75.0 * np.arange(40_000) / 10_000.0)
+    >>> figure = co.plot.order_spectra(co.order_map(co.recording(signal, rate_hz=1e4, speed_rpm=1500.0)))
+    """
+    return whole_picture(order_spectra_figure, order_map, findings, "order_map", "order_spectra")
 
 
 def orders(

@@ -17,7 +17,18 @@ import xarray as xr
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
-from crankorder.plot.axes import axes_for, channel_of, dress, keys_below, painted, positive, scale, values_of, y_label
+from crankorder.plot.axes import (
+    axes_for,
+    channel_of,
+    dress,
+    keys_below,
+    painted,
+    positive,
+    scale,
+    values_of,
+    whole_picture,
+    y_label,
+)
 from crankorder.plot.campbell_figure import orders_of
 from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words, log_limits
 from crankorder.plot.labels import (

@@ -82,7 +82,7 @@ def pictures_of(
     if "order_map" in groups:
         caption = "Order spectra: what shakes, order by order"
         plan("order_spectra", caption, order_spectra_figure, groups["order_map"])
-    from crankorder.report.cycle_figure import cycle_figure, shapes_figure
+    from crankorder.plot.cycle_figure import cycle_figure, shapes_figure
 
     for group, name, caption, drawn, dims in (
         ("cycle_average", "cycle", "Mean engine cycle and its spread", cycle_figure, ("speed",)),

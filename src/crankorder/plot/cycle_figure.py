@@ -6,7 +6,8 @@ A shape is a phasor for every order and channel, with its numbers.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -14,6 +15,7 @@ import xarray as xr
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
 from crankorder.orders.intervals import t_quantile
+from crankorder.plot.axes import whole_picture
 from crankorder.plot.drawing import Area, Drawing, Panel, Rings, Stroke, Words
 from crankorder.plot.labels import head_of_test
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, WHITE, drawable, shortened, text_width_in
@@ -21,6 +23,9 @@ from crankorder.plot.reading import nominal_order, number_text, order_text
 from crankorder.plot.spectra_figure import column_boxes
 from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LEFT, _RIGHT, _GUTTER = 1.15, 0.25, 0.72  # inches
 _NAME_AT = 0.62  # of the name of a channel from its panels, in inches
@@ -69,6 +74,34 @@ def cycle_figure(cycles: xr.Dataset, findings: Findings, *, settings: ReportSett
     subtitle = _subtitle(cycles, len(shown))
     head_of_test(drawing, _LEFT, findings, "average cycle", subtitle, longest=settings.max_name_characters)
     return drawing
+
+
+def cycle(cycle_average: xr.Dataset, findings: Findings | Mapping[str, object] | None = None) -> Figure:
+    """Mean engine cycle of every channel at up to three speeds, with its spread; returns the figure.
+
+    ``cycle_average`` is the branch of that name of results by the recipe ``waveforms``, ``findings`` are those of the
+    test, which give its name. Raises RequestError for another dataset or no findings.
+
+    >>> import crankorder as co, tempfile
+    >>> with tempfile.TemporaryDirectory() as work:
+    ...     folders = co.synthesise("hard-two-revolutions", work + "/test", quick=True)
+    ...     figure = co.plot.cycle(co.run(folders, out=work + "/out", recipe="waveforms")["cycle_average"])
+    """
+    return whole_picture(cycle_figure, cycle_average, findings, "cycle_average", "cycle")
+
+
+def shapes(operating_shapes: xr.Dataset, findings: Findings | Mapping[str, object] | None = None) -> Figure:
+    """Amplitude and phase of the strongest orders over the channels, as phasors; returns the figure.
+
+    ``operating_shapes`` is the branch of that name of results by the recipe ``waveforms``, ``findings`` are those of
+    the test, which give its name. Raises RequestError for another dataset or no findings.
+
+    >>> import crankorder as co, tempfile
+    >>> with tempfile.TemporaryDirectory() as work:
+    ...     folders = co.synthesise("hard-two-revolutions", work + "/test", quick=True)
+    ...     figure = co.plot.shapes(co.run(folders, out=work + "/out", recipe="waveforms")["operating_shapes"])
+    """
+    return whole_picture(shapes_figure, operating_shapes, findings, "operating_shapes", "shapes")
 
 
 def _subtitle(cycles: xr.Dataset, shown: int) -> str:
