@@ -163,8 +163,8 @@ def short_recordings(lengths_s: Mapping[str, float]) -> list[QualityFlag]:
 def scaled_speeds(ends_rpm: Mapping[str, tuple[float, float]]) -> list[QualityFlag]:
     """A remark on each recording where the speeds of all are off those in their names by one factor.
 
-    ``ends_rpm`` are the lowest and highest speed [rpm] by name; recordings whose speed is not held, or whose names state
-    none, tell nothing.
+    ``ends_rpm`` are the lowest and highest speed [rpm] by name of the recording; where it is not held, or the name
+    states none, a recording tells nothing.
     """
     alike = 1.0 + NAMES.alike_share
     held = {name: (low + high) / 2.0 for name, (low, high) in ends_rpm.items() if 0.0 < high <= alike * low}

@@ -164,7 +164,7 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
         limits=() if vibration is None else limit_verdicts(vibration, balance, sources),
         balance=balance,
         balance_reason=None if balance is not None else reason,
-        looked_for=("orders", "modes", "bearings", *(("envelope",) if has_spectra else ())),
+        looked_for=("orders", "modes", *("bearings",) * bool(sources.bearings), *("envelope",) * has_spectra),
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags),
     )

@@ -31,7 +31,7 @@ from crankorder.plot.reading import (
     with_interval,
 )
 from crankorder.records import Record
-from crankorder.report.sentences.of_lines import envelope_band, no_order_sentence
+from crankorder.report.sentences.of_lines import envelope_band, no_mode_sentence, no_order_sentence
 from crankorder.report.sentences.of_speeds import all_judged, band_of
 from crankorder.report.sentences.story import energy_sentence, source_text, stated_quantities, undecided_quantities
 
@@ -189,7 +189,7 @@ def _modes(findings: Findings, limit: int) -> Table:
             rows.append(_mode_row(mode, reached or none, limit))
     note = "Those first at which orders are amplified most." if len(rows) > 1 and findings.crossings else ""
     heads = "Frequency, Hz#|Damping, %#|Channels|Reached by orders|Evidence"
-    return table_of("Natural frequencies", heads, rows, note=note, empty="No natural frequency was found.")
+    return table_of("Natural frequencies", heads, rows, note=note, empty=no_mode_sentence(findings))
 
 
 def _mode_row(mode: ModeFinding, remark: str, limit: int) -> list[str]:

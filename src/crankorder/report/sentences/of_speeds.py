@@ -43,20 +43,42 @@ _NO_SOURCES = "Sidebands that a swing of the shaft makes of stronger orders may 
 _SHOWN = 3  # free bands that a sentence names, the widest
 
 
+def speed_sentence(findings: Findings) -> str:
+    """The worst speed to avoid of ``findings`` and how many more there are; else which are free, or why none is.
+
+    Empty where nothing is known of speeds.
+    """
+    if avoided := findings.speeds_to_avoid:
+        more = len(avoided) - 1
+        others = f"; {more} more speed{'s are' if more > 1 else ' is'} to be avoided" * (more > 0)
+        return f"{_avoided(findings, avoided[0], most=1)[0]}{others}."
+    sentences = free_sentences(findings)
+    if not free_bands(findings):
+        return " ".join(sentences)
+    rest = " The rest is not free, or not known." * (len(sentences) > 1)
+    return f"No speed to avoid was found. {sentences[0]}{rest}"
+
+
 def avoid_sentences(findings: Findings) -> list[str]:
     """One sentence for each of the speeds to avoid of ``findings``, the worst first."""
     sentences = []
     for record in findings.speeds_to_avoid or ():
-        ends = known(record.rpm_range)
-        span = f" ({ends[0]:.0f} to {ends[1]:.0f} rpm)" if ends is not None else ""
-        meetings = dict.fromkeys(zip(map(nominal_order, record.orders), record.modes_hz, strict=False))
-        pairs = [_excites(order, mode_hz, findings) for order, mode_hz in meetings]
-        text = f"Avoid steady running near {record.rpm:.0f} rpm{span}, where {listed(pairs[:_PAIRS])}"
-        text += f", and {len(pairs) - _PAIRS} more meet" if len(pairs) > _PAIRS else ""
+        text, pairs = _avoided(findings, record, most=_PAIRS)
+        text += f", and {pairs - _PAIRS} more meet" if pairs > _PAIRS else ""
         if peak := _peak(findings, record):
-            text += f"; order {order_name(record, findings)}{' alone' if len(pairs) > 1 else ''}: {peak}"
+            text += f"; order {order_name(record, findings)}{' alone' if pairs > 1 else ''}: {peak}"
         sentences.append(f"{text}.")
     return sentences
+
+
+def _avoided(findings: Findings, record: AvoidedSpeed, *, most: int) -> tuple[str, int]:
+    """Speed to avoid with ``most`` of the orders that meet natural frequencies there, and how many these are."""
+    ends = known(record.rpm_range)
+    span = f" ({ends[0]:.0f} to {ends[1]:.0f} rpm)" if ends is not None else ""
+    meetings = dict.fromkeys(zip(map(nominal_order, record.orders), record.modes_hz, strict=False))
+    pairs = [_excites(order, mode_hz, findings) for order, mode_hz in meetings]
+    avoid = "If the speed is right, avoid" if findings.speed_doubt else "Avoid"
+    return f"{avoid} steady running near {record.rpm:.0f} rpm{span}, where {listed(pairs[:most])}", len(pairs)
 
 
 def _excites(order: float, mode_hz: float, findings: Findings) -> str:
@@ -75,8 +97,8 @@ def _peak(findings: Findings, record: AvoidedSpeed) -> str:
     parts = []
     if is_number(record.amplitude) and record.amplitude > 0:
         where = f" in {short(record.channel)}" if record.channel else ""
-        held = ", by the modal fit for a held speed" * record.by_fit
-        parts.append(f"peak {'at least ' * record.at_least}{level_text(findings, record)}{where}{held}")
+        held = "calculated by the modal fit for a held speed" if record.by_fit else "as recorded"
+        parts.append(f"peak {'at least ' * record.at_least}{level_text(findings, record)}{where}, {held}")
     if is_number(record.amplification) and record.amplification > 0:
         parts.append(f"amplified {_amplified(record)} times")
     return ", ".join(parts)
@@ -251,15 +273,23 @@ def level_sentences(findings: Findings) -> list[str]:
     return [f"{what} is {size}{at_speed(worst.speed_rpm)}."]
 
 
-def limit_sentences(findings: Findings, *, verdict: str | None = None) -> list[str]:
-    """Sentences on each limit in ``findings``, the most exceeded first; with a ``verdict`` on those alone."""
+def limits_sentence(findings: Findings) -> str:
+    """Whether the limits of ``findings`` are kept: the gravest that is not, and how many more; empty without limits."""
+    others = sum(record.verdict != "within" for record in findings.limits) - 1
+    if others < 0:
+        return "All limits that were stated are kept." if findings.limits else ""
+    more = f" {others} more {'are' if others > 1 else 'is'} exceeded or not decided: see the table of limits."
+    return f"{limit_sentences(findings)[0]}{more * (others > 0)}"
+
+
+def limit_sentences(findings: Findings) -> list[str]:
+    """Sentences on each limit in ``findings``, the most exceeded first."""
     grave = {"above": 0, "not decided": 1}
 
     def gravity(record: LimitVerdict) -> tuple[int, float]:
         return grave.get(record.verdict, 2), -record.level / record.value if is_number(record.level) else 0.0
 
-    records = [record for record in findings.limits if verdict in (None, record.verdict)]
-    return [_limit_sentence(record) for record in sorted(records, key=gravity)]
+    return [_limit_sentence(record) for record in sorted(findings.limits, key=gravity)]
 
 
 def _limit_sentence(record: LimitVerdict) -> str:
