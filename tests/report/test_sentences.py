@@ -138,7 +138,7 @@ def test_the_headline_has_line_bearing_speed_balance_and_unexplained_share(full)
     why = " ".join(story_of(full)["why"])
     assert "outer-race (BPFO)" in why and "slip −0.80 (−0.90…−0.70) %" in why and "2000–4000 Hz" in why
     where = "near 1800 rpm (1755 to 1850 rpm), where order 2 excites the 60 Hz natural frequency"
-    assert speed == f"Avoid steady running {where}; 1 more speed is to be avoided."
+    assert speed == f"Avoid steady running {where}; the worst of 2 speeds to avoid."
     peak = "order 2: peak 3.70 m/s² in Z, calculated by the modal fit for a held speed, amplified 12 times"
     assert avoid_sentences(full)[0] == f"Avoid steady running {where}; {peak}."
     assert balance.startswith("Unbalanced reciprocating mass: 116 (110…122) g") and energy.startswith("3.1 % of the")
@@ -146,6 +146,9 @@ def test_the_headline_has_line_bearing_speed_balance_and_unexplained_share(full)
 
 DOUBT = {"speed_doubt": "all recordings turn at 1.2 times the speed that their names state"}
 UNNAMED = {"looked_for": ["orders"], "bearings": []}
+LIMIT = {"quantity": "velocity", "value": 2.0, "unit": "mm/s", "source": "rule", "channel": "Z", "level": 1.5}
+ABOVE, KEPT = LIMIT | {"level": 6.0, "verdict": "above"}, LIMIT | {"verdict": "within"}
+OVER = "The velocity of Z is above the limit of 2.00 mm/s (rule): 6.00 mm/s."
 VERDICTS = (
     ({}, 0, "A bearing is damaged: order 3.556"), (DOUBT, 1, "If the speed is right, a bearing is damaged: order"),
     ({"damage": False}, 2, "A bearing strikes, and which part is damaged is not decided: order 3.556"),
@@ -154,6 +157,8 @@ VERDICTS = (
     ({"bearings": []}, 2, "No sign of a failing bearing: no line of those that are named"),
     ({"bearings": []} | DOUBT, 3, "Whether a bearing is failing is not decided: the speed is in doubt."),
     (UNNAMED, 2, "Whether anything is failing was not looked for: the manifest names no bearing and no limit."),
+    ({"limits": [KEPT, ABOVE, ABOVE]}, 0, f"{OVER} 1 more is exceeded or not decided: see the table of limits."),
+    (UNNAMED | {"limits": [KEPT, ABOVE]}, 0, OVER), (UNNAMED | {"limits": [KEPT] * 2}, 2, "All limits that were stated"),
 )  # fmt: skip
 
 
@@ -165,7 +170,7 @@ def test_the_head_says_what_shakes_which_speed_to_avoid_and_what_fails_and_what_
     full |= {key: value for key, value in changed.items() if key not in of_record}
     full["bearings"] = [record | of_record for record in full["bearings"][-1:]]
     answers = lead_of(full)
-    assert answers[place].startswith(said) and len(answers) == 3 + ("speed_doubt" in changed)
+    assert answers[place].startswith(said) and len(answers) == 3 + len({"speed_doubt", "limits"} & {*changed})
     assert max(map(len, answers)) <= 200 and contradictions(full) == []
     speeds = [words for words in answers if "void steady running near" in words]
     assert len(speeds) == 1 and speeds[0].startswith("If the speed is right") == ("speed_doubt" in changed)

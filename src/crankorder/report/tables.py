@@ -333,7 +333,7 @@ def _levels(findings: Findings, limit: int) -> Table:
     heads = "Channel|Quantity|Band|Speed, rpm#|r.m.s.#|Mean peak#|Largest peak#|Crest factor#"
     more = table_of("Levels at every speed", heads, every) if len(every) > len(largest) else None
     note = "At the speed where each is largest; peaks and crest factors are means over short pieces." if largest else ""
-    note = f"{note} As recorded: the loudest recording, without the mean.".strip() if whole else note
+    note = f"{note} As recorded: all of the loudest recording, without the mean.".strip() if whole else note
     return table_of("Overall levels", heads, [*largest, *whole], note=note, more=more)
 
 
@@ -347,7 +347,7 @@ def _third_octaves(findings: Findings, limit: int) -> Table:
             loudest[octave.channel] = octave.rms, rows[-1]
     heads = "Channel|Speed, rpm#|Mid-band, Hz#|r.m.s.#"
     more = table_of(f"All {len(rows)} one-third octaves", heads, rows) if rows else None
-    note = "The strongest of each channel, at the speed where the channel is loudest." if rows else ""
+    note = "The strongest of each channel, at the speed where all its octaves together are largest." if rows else ""
     return table_of("One-third octaves", heads, [row for _, row in loudest.values()], note=note, more=more)
 
 
@@ -366,7 +366,7 @@ def _energy(findings: Findings, limit: int) -> Table:
     for record in records:
         total = with_interval(record.total, None, unit=_square_unit(record.unit or ""))
         rows.append([named(record.channel, limit=limit), *shares(record, PARTS), total, *shares(record, above)])
-    titles = [title for _, title in (*PARTS, ("total", "Mean square of the band"), *above)]
+    titles = [title for _, title in (*PARTS, ("total", "Mean square of the band, all speeds"), *above)]
     end = None if energy is None else energy.band_hz
     title = "Where the energy is" + (f", up to {frequency_text(end)} Hz" if is_number(end) else "")
     heads = "|".join(["Channel", *(f"{title}#" for title in titles)])

@@ -131,22 +131,18 @@ def no_order_sentence(findings: Findings) -> str:
 
 def _channels(findings: Findings) -> list[str]:
     """Channels with a line, the strongest first among those of one unit; units in the order of the channels."""
-    lines: list[OrderFinding | LineFinding] = [*findings.orders, *findings.lines]
-    names = dict.fromkeys(line.channel for line in lines)
-    strongest = {name: line for name in names if (line := _strongest_line(findings, name))}
-    analysed = [channel.name for channel in findings.channels]
+    names = [channel.name for channel in findings.channels]
     # those that were not analysed go last
-    places = {name: analysed.index(name) if name in analysed else len(analysed) for name in strongest}
-    ordered = sorted(strongest, key=places.__getitem__)
-    units = list(dict.fromkeys(unit_of(findings, strongest[name]) for name in ordered))
-    return sorted(ordered, key=lambda name: (units.index(unit_of(findings, strongest[name])), -strongest[name].size))
+    names += [line.channel for lines in (findings.orders, findings.lines) for line in lines]
+    strongest = {name: line for name in names if (line := _strongest_line(findings, name))}
+    units = list(dict.fromkeys(unit_of(findings, line) for line in strongest.values()))
+    return sorted(strongest, key=lambda name: (units.index(unit_of(findings, strongest[name])), -strongest[name].size))
 
 
 def _strongest_line(findings: Findings, channel: str) -> OrderFinding | LineFinding | None:
     """Strongest line in a ``channel``, order or tone."""
-    order, tone = _strongest_order(findings.orders, channel), strongest_tone(findings, channel)
-    lines: list[OrderFinding | LineFinding] = [line for line in (order, tone) if line is not None]
-    return max(lines, key=lambda line: line.size, default=None)
+    strongest = _strongest_order(findings.orders, channel), strongest_tone(findings, channel)
+    return max(filter(None, strongest), key=lambda line: line.size, default=None)
 
 
 def _strongest_order(orders: Iterable[OrderFinding], channel: str) -> OrderFinding | None:
@@ -292,8 +288,7 @@ def no_mode_sentence(findings: Findings) -> str:
     hertz = [frequency_text(mode.frequency_hz) for mode in findings.modes if is_undecided(mode)]
     if not hertz:
         return "No natural frequency was found."
-    may = "one may lie" if len(hertz) == 1 else "some may lie"
-    return f"No natural frequency is proven; {may} near {listed(hertz, most=_MOST_MODES)} Hz."
+    return f"No natural frequency is proven; one may lie near {' Hz, near '.join(hertz[:_MOST_MODES])} Hz."
 
 
 def bearing_sentence(findings: Findings) -> str:
@@ -301,26 +296,24 @@ def bearing_sentence(findings: Findings) -> str:
 
     Empty where they do not state what was looked for.
     """
-    lines, heard, doubt = bearing_lines(findings), "envelope" in findings.looked_for, findings.speed_doubt
-    unheard = "; strikes, which ring above the frequencies analysed, were not looked for" * (not heard)
+    lines, looked_for, doubt = bearing_lines(findings), findings.looked_for, findings.speed_doubt
+    unheard = "" if "envelope" in looked_for else "; strikes above the band looked at were not looked for"
+    if not lines and not {"bearings", "envelope"}.intersection(looked_for):
+        none = "no bearing" if findings.limits else "no bearing and no limit"
+        return f"Whether anything is failing was not looked for: the manifest names {none}." * bool(looked_for)
+    verdict = "Whether a bearing is failing is not decided"
+    if not lines and (doubt or nothing_proven(findings)):
+        return f"{verdict}: {'the speed is in doubt' if doubt else 'the recordings hold too few revolutions'}."
     if not lines:
-        if not heard and "bearings" not in findings.looked_for:
-            none = "no bearing" if findings.limits else "no bearing and no limit"
-            text = f"Whether anything is failing was not looked for: the manifest names {none}."
-            return text * bool(findings.looked_for)
-        if doubt or nothing_proven(findings):
-            why = "the speed is in doubt" if doubt else "the recordings hold too few revolutions"
-            return f"Whether a bearing is failing is not decided: {why}."
         return f"No sign of a failing bearing: no line of those that are named stands out{unheard}."
     name, record = max(lines, key=lambda line: (line[1].damage, _asks_re_run(line[1]), line[1].lock != "locked"))
     order = f"order {order_name(record, findings)}"
     if record.lock == "locked" and not _asks_re_run(record):
         return f"No sign of a failing bearing: {order} lies at the {name} but is exactly locked to the shaft{unheard}."
-    verdict = "Whether a bearing is failing is not decided"
-    if record.seen_in == "envelope":
+    where = ", in the envelope" * (record.seen_in == "envelope")
+    if where:
         struck = "bearing is damaged" if record.damage else "bearing strikes, and which part is damaged is not decided"
         verdict = f"If the speed is right, a {struck}" if doubt else f"A {struck}"
-    where = ", in the envelope" * (record.seen_in == "envelope")
     return f"{verdict}: {order}, the {name}, has {_level(findings, record)}{where}."
 
 
@@ -328,7 +321,8 @@ def bearing_sentences(findings: Findings) -> list[str]:
     """One sentence per bearing line of ``findings`` that was seen, with its verdict but for the rule to run again."""
     sentences = []
     for name, record in bearing_lines(findings):
-        text = f"Order {order_name(record, findings)} fits the {name}: {_seen(findings, record)}."
+        order = "If the speed is right, order" if findings.speed_doubt else "Order"
+        text = f"{order} {order_name(record, findings)} fits the {name}: {_seen(findings, record)}."
         parts = [part.strip().rstrip(".") for part in reason_text(record.verdict).split(". ")]
         verdict = [f"{part[0].upper()}{part[1:]}." for part in parts if part and "re-run" not in part.lower()]
         sentences.append(" ".join([text, *verdict]))

@@ -9,6 +9,7 @@ from crankorder.findings import AvoidedSpeed, Findings, Level, LimitVerdict, Spe
 from crankorder.plot.reading import (
     NAME_CHARACTERS,
     SAME_MODE,
+    at_one_speed,
     at_speed,
     estimate_text,
     free_bands,
@@ -35,12 +36,12 @@ from crankorder.plot.reading import (
 from crankorder.records import known
 
 _PAIRS = 4  # crossings that a sentence names
-_ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
 _OF_ENCODER = {1.0: "an eccentric", 2.0: "an oval"}  # orders that an encoder off its centre makes
 _ONE_SHARE = 0.85  # shares of the speed whose least is so much of the largest are one
 _SIDES = 8  # orders that a sentence names as likely sidebands
 _NO_SOURCES = "Sidebands that a swing of the shaft makes of stronger orders may be all there is of"
 _SHOWN = 3  # free bands that a sentence names, the widest
+_GRAVEST = "above", "not decided", "within"  # verdicts on limits
 
 
 def speed_sentence(findings: Findings) -> str:
@@ -49,8 +50,7 @@ def speed_sentence(findings: Findings) -> str:
     Empty where nothing is known of speeds.
     """
     if avoided := findings.speeds_to_avoid:
-        more = len(avoided) - 1
-        others = f"; {more} more speed{'s are' if more > 1 else ' is'} to be avoided" * (more > 0)
+        others = f"; the worst of {len(avoided)} speeds to avoid" * (len(avoided) > 1)
         return f"{_avoided(findings, avoided[0], most=1)[0]}{others}."
     sentences = free_sentences(findings)
     if not free_bands(findings):
@@ -180,12 +180,10 @@ def free_sentences(findings: Findings) -> list[str]:
         ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
         remark = reason_text(wide_bands(findings.free_bands)[0].remark)
         sentences.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
-    else:
-        tested = [rpm for rpm in findings.speed_range_rpm if is_number(rpm)]
-        if tested and max(tested) - min(tested) < _ONE_SPEED_RPM:
-            return ["A test at one speed cannot tell which speeds are free of resonances."]
-        if findings.open_bands is not None and not findings.speeds_to_avoid:
-            sentences.append("No speed of the tested range can be called free of resonances.")
+    elif at_one_speed(findings):
+        return ["A test at one speed cannot tell which speeds are free of resonances."]
+    elif findings.open_bands is not None and not findings.speeds_to_avoid:
+        sentences.append("No speed of the tested range can be called free of resonances.")
     if unknown:
         widest_open = max(unknown, key=lambda band: band.high_rpm - band.low_rpm)
         reason = reason_text(widest_open.remark.split("; ")[0])
@@ -284,12 +282,8 @@ def limits_sentence(findings: Findings) -> str:
 
 def limit_sentences(findings: Findings) -> list[str]:
     """Sentences on each limit in ``findings``, the most exceeded first."""
-    grave = {"above": 0, "not decided": 1}
-
-    def gravity(record: LimitVerdict) -> tuple[int, float]:
-        return grave.get(record.verdict, 2), -record.level / record.value if is_number(record.level) else 0.0
-
-    return [_limit_sentence(record) for record in sorted(findings.limits, key=gravity)]
+    by_excess = sorted(findings.limits, key=lambda limit: -(limit.level or 0.0) / limit.value)
+    return [_limit_sentence(record) for verdict in _GRAVEST for record in by_excess if record.verdict == verdict]
 
 
 def _limit_sentence(record: LimitVerdict) -> str:
