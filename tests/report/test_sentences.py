@@ -158,7 +158,7 @@ VERDICTS = (
     ({"bearings": []} | DOUBT, 3, "Whether a bearing is failing is not decided: the speed is in doubt."),
     (UNNAMED, 2, "Whether anything is failing was not looked for: the manifest names no bearing and no limit."),
     ({"limits": [KEPT, ABOVE, ABOVE]}, 0, f"{OVER} 1 more is exceeded or not decided: see the table of limits."),
-    (UNNAMED | {"limits": [KEPT, ABOVE]}, 0, OVER), (UNNAMED | {"limits": [KEPT] * 2}, 2, "All limits that were stated"),
+    (UNNAMED | {"limits": [KEPT, ABOVE]}, 0, OVER), (UNNAMED | {"limits": [KEPT] * 2}, 2, "All limits that were"),
 )  # fmt: skip
 
 

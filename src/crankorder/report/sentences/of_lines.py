@@ -141,8 +141,9 @@ def _channels(findings: Findings) -> list[str]:
 
 def _strongest_line(findings: Findings, channel: str) -> OrderFinding | LineFinding | None:
     """Strongest line in a ``channel``, order or tone."""
-    strongest = _strongest_order(findings.orders, channel), strongest_tone(findings, channel)
-    return max(filter(None, strongest), key=lambda line: line.size, default=None)
+    order, tone = _strongest_order(findings.orders, channel), strongest_tone(findings, channel)
+    lines: list[OrderFinding | LineFinding | None] = [order, tone]
+    return max(filter(None, lines), key=lambda line: line.size, default=None)
 
 
 def _strongest_order(orders: Iterable[OrderFinding], channel: str) -> OrderFinding | None:
