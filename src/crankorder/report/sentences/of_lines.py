@@ -142,8 +142,8 @@ def _channels(findings: Findings) -> list[str]:
 def _strongest_line(findings: Findings, channel: str) -> OrderFinding | LineFinding | None:
     """Strongest line in a ``channel``, order or tone."""
     order, tone = _strongest_order(findings.orders, channel), strongest_tone(findings, channel)
-    lines: list[OrderFinding | LineFinding | None] = [order, tone]
-    return max(filter(None, lines), key=lambda line: line.size, default=None)
+    lines: list[OrderFinding | LineFinding] = [line for line in (order, tone) if line is not None]
+    return max(lines, key=lambda line: line.size, default=None)
 
 
 def _strongest_order(orders: Iterable[OrderFinding], channel: str) -> OrderFinding | None:
