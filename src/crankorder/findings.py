@@ -431,7 +431,7 @@ class Findings(Record):
     channels: tuple[Channel, ...] = said("channels analysed")
     speed_range_rpm: Interval = said("slowest and fastest tested speed", default=(None, None))
     speed_doubt: str | None = said(
-        "why the speed is in doubt, where it was read from the vibration or stated and may be another; else null",
+        "why the speed is in doubt, where it may be another: of the vibration, stated, or not as named; else null",
         default=None,
     )
     orders: tuple[OrderFinding, ...] = said("order lines found, one per channel and order")

@@ -25,7 +25,9 @@ BESIDE_RPM = 30.0
 
 APART = {
     "Free of resonances:": ("No speed of the tested range can be called free", "A test at one speed cannot tell"),
-    "Nothing that was looked for asks for action": ("Avoid steady running", "strikes of"),
+    "Nothing that was looked for asks for action": ("steady running near", "strikes of", "is damaged"),
+    "No speed to avoid was found": ("steady running near",),
+    "No sign of a failing bearing": ("is damaged", "Re-run the same test"),
     "No order stands above the noise": ("is the strongest line in", "found: ", " fits the "),
     "No order could be proven": ("is the strongest line in", " fits the "),
     "o order stands above the noise.": ("lies above the band that was looked at",),

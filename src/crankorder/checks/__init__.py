@@ -1,1 +1,1 @@
-"""Recordings beside each other: doubts about gains, clocks and lengths, and what is left out for them."""
+"""Recordings beside each other: doubts about gains, speeds and lengths, and what is left out for them."""

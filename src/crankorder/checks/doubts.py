@@ -1,4 +1,4 @@
-"""What the recordings of a test gave, and doubts about them: gains, clocks, lengths, and what is left out for them."""
+"""What the recordings of a test gave, and doubts about them: gains, speeds, lengths, and what is left out for them."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ from crankorder.quantities import (
     with_flags,
 )
 from crankorder.settings import IngestSettings, MethodNumbers
+from crankorder.shaft.speeds import named_speed
 
 LENGTHS = MethodNumbers("1-ingest-faults.toml", "short_recordings")
+NAMES = MethodNumbers("1-ingest-faults.toml", "named_speeds")
 
 _NOTHING_IS_ZERO = ("degrees_of_freedom", "n_independent", "n_cycles", "peak_above")
 """Variables in which a channel without data has 0; in all others NaN."""
@@ -40,13 +42,14 @@ class Doubts:
     """Doubts about recordings and channels, and which of them take no part in averages.
 
     By name of the recording, ``gains`` are flags on channels of another gain or unit than in the other recordings, to
-    be left out where the flag says so, ``clocks`` are flags on the clock of its pulses against that of its samples,
-    ``left_out`` says why it is left out. ``lengths`` are flags on files that may have lost their end,
-    ``channels_left_out`` are sentences on channels that are left out of recordings that stay.
+    be left out where the flag says so, ``speeds`` are flags on its speed: the clock of its pulses against that of its
+    samples, and speeds that names state and no recording has; ``left_out`` says why it is left out. ``lengths`` are
+    flags on files that may have lost their end, ``channels_left_out`` are sentences on channels that are left out of
+    recordings that stay.
     """
 
     gains: Mapping[str, list[QualityFlag]] = field(default_factory=dict)
-    clocks: Mapping[str, list[QualityFlag]] = field(default_factory=dict)
+    speeds: Mapping[str, list[QualityFlag]] = field(default_factory=dict)
     lengths: tuple[QualityFlag, ...] = ()
     left_out: Mapping[str, InputError] = field(default_factory=dict)
     channels_left_out: tuple[str, ...] = ()
@@ -68,27 +71,29 @@ def doubts_of(
     ``settings`` say by how much a level must jump to be doubted, and by how much where floors and orders together prove
     it.
     """
-    speeds, lengths_s = dict[str, tuple[float, float]](), dict[str, float]()
+    ends_rpm, lengths_s = dict[str, tuple[float, float]](), dict[str, float]()
     for shaft in shafts:
         name, time_s, speed = str(shaft.attrs["recording"]), shaft["time"].values, shaft["speed"].values
         lengths_s[name] = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
         if fault_of(name, told[name]) is None and np.isfinite(speed).any():
             # of the means of tenths: what a shaft does within a turn, and an encoder's edges, is no other speed
             means = [float(np.nanmean(part)) for part in np.array_split(speed, 10) if np.isfinite(part).any()]
-            speeds[name] = min(means), max(means)
-    recorded = {level.recording: level for level in _recorded_levels(levels, speeds)}
-    clocks, gains = dict[str, list[QualityFlag]](), defaultdict[str, list[QualityFlag]](list)
+            ends_rpm[name] = min(means), max(means)
+    recorded = {level.recording: level for level in _recorded_levels(levels, ends_rpm)}
+    speeds, gains = defaultdict[str, list[QualityFlag]](list), defaultdict[str, list[QualityFlag]](list)
+    for flag in scaled_speeds(ends_rpm):
+        speeds[flag["recording"]].append(flag)
     for item in frames:
         name = str(item.attrs["recording"])
         if name in recorded and recorded[name].is_steady:
             for channel, (power, stands) in standing_orders(item)[1].items():
                 recorded[name].lines[channel] = np.where(stands, np.sqrt(power), np.nan)
-        drift = clock_drift(item)
-        clocks |= {} if drift is None else {name: [drift]}
+        if (drift := clock_drift(item)) is not None:
+            speeds[name].append(drift)
     ratio, proven_ratio = settings.level_jump_ratio, settings.gain_step_ratio
     for flag in level_jumps(list(recorded.values()), ratio=ratio, proven_ratio=proven_ratio):
         gains[flag["recording"]].append(flag)
-    flags = {name: [*own, *clocks.get(name, ()), *gains.get(name, ())] for name, own in told.items()}
+    flags = {name: [*own, *speeds.get(name, ()), *gains.get(name, ())] for name, own in told.items()}
     left_out = {name: fault for name, own in flags.items() if (fault := fault_of(name, own, strict=strict)) is not None}
     said = defaultdict[tuple[str, str], list[str]](list)
     for flag in [flag for name, own in flags.items() if name not in left_out for flag in own]:
@@ -98,7 +103,7 @@ def doubts_of(
         f"{printable(name)}: channel {printable(channel)} left out of all averages: {'; '.join(why)}"
         for (name, channel), why in said.items()
     )
-    return Doubts(dict(gains), clocks, tuple(short_recordings(lengths_s)), left_out, tuple(sentences))
+    return Doubts(dict(gains), dict(speeds), tuple(short_recordings(lengths_s)), left_out, tuple(sentences))
 
 
 def _recorded_levels(
@@ -153,6 +158,26 @@ def short_recordings(lengths_s: Mapping[str, float]) -> list[QualityFlag]:
     beside = f"where the other recordings of the test last {usual:.3g} s: if it was not stopped early its file has lost"
     short = {name: length for name, length in lengths_s.items() if length < (1.0 - LENGTHS.shorter_share) * usual}
     return [remark(name, "shorter_than_others", f"{length:.3g} s, {beside} its end") for name, length in short.items()]
+
+
+def scaled_speeds(ends_rpm: Mapping[str, tuple[float, float]]) -> list[QualityFlag]:
+    """A remark on each recording where the speeds of all are off those in their names by one factor.
+
+    ``ends_rpm`` are the lowest and highest speed [rpm] by name of the recording; where it is not held, or the name
+    states none, a recording tells nothing.
+    """
+    alike = 1.0 + NAMES.alike_share
+    held = {name: (low + high) / 2.0 for name, (low, high) in ends_rpm.items() if 0.0 < high <= alike * low}
+    off = {name: rpm / stated for name, rpm in held.items() if (stated := named_speed(name)) is not None}
+    ratios = np.array(list(off.values()))
+    factor = float(np.median(ratios)) if len(off) >= NAMES.fewest_recordings else 1.0
+    if max(factor, 1.0 / factor) < 1.0 + NAMES.least_share or np.ptp(ratios) > NAMES.alike_share * factor:
+        return []
+    detail = (
+        f"all {len(off)} recordings whose names state a speed turn at {factor:.3g} times it: look at [encoder], its "
+        "pulses_per_rev and ratio"
+    )
+    return [remark(name, "speeds_not_as_named", detail, "suspect") for name in off]
 
 
 def fault_of(name: str, flags: Sequence[QualityFlag], *, strict: bool = False) -> InputError | None:
@@ -303,13 +328,13 @@ class RecordingResult:
 
     def doubted(self, doubts: Doubts) -> RecordingResult:
         """This result with its flags of ``doubts``, without data in the channels that these leave out."""
-        gains, clocks = doubts.gains.get(self.name, []), doubts.clocks.get(self.name, [])
-        if not gains and not clocks:
+        gains, speeds = doubts.gains.get(self.name, []), doubts.speeds.get(self.name, [])
+        if not gains and not speeds:
             return self
         frames = {noun: emptied(frame, gains) for noun, frame in self.frames.items()}
-        if clocks:
-            frames[OrderFrames] = with_flags(frames[OrderFrames].copy(), clocks)
-        return RecordingResult(ShaftAngle(with_flags(self.shaft.copy(), gains)), frames)
+        if OrderFrames in frames:
+            frames[OrderFrames] = with_flags(frames[OrderFrames].copy(), speeds)
+        return RecordingResult(ShaftAngle(with_flags(self.shaft.copy(), [*gains, *speeds])), frames)
 
     def history_of(self, noun: Any) -> str:
         """History of the frames of this ``noun``, or of the shaft."""

@@ -73,8 +73,8 @@ from crankorder.quantities import Floats, QualityFlag, flags_of, is_cylinder_pre
 from crankorder.records import Ends
 from crankorder.settings import MethodNumbers, Settings
 
-DOUBTS = ("speed_tie", "speed_doubtful")
-"""Flags of recordings whose speed was read from the vibration and may be another."""
+DOUBTS = ("speed_tie", "speed_doubtful", "speeds_not_as_named")
+"""Flags of recordings whose speed was read from the vibration, or is not that of any name, and may be another."""
 
 SEARCHES = {"floor": "the floor", "orders": "orders over the speeds", "sweeps": "the signals of sweeps"}
 """What a search looks at, as it is said."""
@@ -164,7 +164,7 @@ def find(measured: Measured, *, test: str, sources: MachineModel, settings: Sett
         limits=() if vibration is None else limit_verdicts(vibration, balance, sources),
         balance=balance,
         balance_reason=None if balance is not None else reason,
-        looked_for=("orders", "modes", "bearings", *(("envelope",) if has_spectra else ())),
+        looked_for=("orders", "modes", *("bearings",) * bool(sources.bearings), *("envelope",) * has_spectra),
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags),
     )

@@ -44,7 +44,7 @@ from crankorder.plot.reading import (
 )
 from crankorder.quantities import Floats
 from crankorder.records import known
-from crankorder.report.sentences.story import Answer, headline, story_of
+from crankorder.report.sentences.story import Answer, lead_of, story_of
 from crankorder.report.tables import provenance_table, tables_of
 from crankorder.settings import ReportSettings
 
@@ -95,8 +95,8 @@ def report_page(
     it.
     """
     limit = settings.max_name_characters
-    lead, story = headline(findings)[0], story_of(findings)
-    told = [(title, [text for text in story[key] if text != lead]) for key, title in _ANSWERS.items()]
+    lead, story = lead_of(findings), story_of(findings)
+    told = [(title, [text for text in story[key] if text not in lead]) for key, title in _ANSWERS.items()]
     live = live_data(groups, findings, settings=settings) if settings.pictures else ""
     return rendered_page(
         "report.html",

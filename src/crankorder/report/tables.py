@@ -31,7 +31,7 @@ from crankorder.plot.reading import (
     with_interval,
 )
 from crankorder.records import Record
-from crankorder.report.sentences.of_lines import envelope_band, no_order_sentence
+from crankorder.report.sentences.of_lines import envelope_band, no_mode_sentence, no_order_sentence
 from crankorder.report.sentences.of_speeds import all_judged, band_of
 from crankorder.report.sentences.story import energy_sentence, source_text, stated_quantities, undecided_quantities
 
@@ -189,7 +189,7 @@ def _modes(findings: Findings, limit: int) -> Table:
             rows.append(_mode_row(mode, reached or none, limit))
     note = "Those first at which orders are amplified most." if len(rows) > 1 and findings.crossings else ""
     heads = "Frequency, Hz#|Damping, %#|Channels|Reached by orders|Evidence"
-    return table_of("Natural frequencies", heads, rows, note=note, empty="No natural frequency was found.")
+    return table_of("Natural frequencies", heads, rows, note=note, empty=no_mode_sentence(findings))
 
 
 def _mode_row(mode: ModeFinding, remark: str, limit: int) -> list[str]:
@@ -333,7 +333,7 @@ def _levels(findings: Findings, limit: int) -> Table:
     heads = "Channel|Quantity|Band|Speed, rpm#|r.m.s.#|Mean peak#|Largest peak#|Crest factor#"
     more = table_of("Levels at every speed", heads, every) if len(every) > len(largest) else None
     note = "At the speed where each is largest; peaks and crest factors are means over short pieces." if largest else ""
-    note = f"{note} As recorded: the loudest recording, without the mean.".strip() if whole else note
+    note = f"{note} As recorded: all of the loudest recording, without the mean.".strip() if whole else note
     return table_of("Overall levels", heads, [*largest, *whole], note=note, more=more)
 
 
@@ -347,7 +347,7 @@ def _third_octaves(findings: Findings, limit: int) -> Table:
             loudest[octave.channel] = octave.rms, rows[-1]
     heads = "Channel|Speed, rpm#|Mid-band, Hz#|r.m.s.#"
     more = table_of(f"All {len(rows)} one-third octaves", heads, rows) if rows else None
-    note = "The strongest of each channel, at the speed where the channel is loudest." if rows else ""
+    note = "The strongest of each channel, at the speed where all its octaves together are largest." if rows else ""
     return table_of("One-third octaves", heads, [row for _, row in loudest.values()], note=note, more=more)
 
 
@@ -366,7 +366,7 @@ def _energy(findings: Findings, limit: int) -> Table:
     for record in records:
         total = with_interval(record.total, None, unit=_square_unit(record.unit or ""))
         rows.append([named(record.channel, limit=limit), *shares(record, PARTS), total, *shares(record, above)])
-    titles = [title for _, title in (*PARTS, ("total", "Mean square of the band"), *above)]
+    titles = [title for _, title in (*PARTS, ("total", "Mean square of the band, all speeds"), *above)]
     end = None if energy is None else energy.band_hz
     title = "Where the energy is" + (f", up to {frequency_text(end)} Hz" if is_number(end) else "")
     heads = "|".join(["Channel", *(f"{title}#" for title in titles)])

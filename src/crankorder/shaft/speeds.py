@@ -359,14 +359,19 @@ def speed_in_name(name: str) -> float | None:
     return None
 
 
+def named_speed(recording: str) -> float | None:
+    """Speed [rpm] that the name of a ``recording`` states in words that make a number a speed; None where none."""
+    return speed_in_name(PurePath(recording).stem) if _SPEED_WORD.search(recording) else None
+
+
 def named_speed_remarks(shaft: xr.Dataset) -> list[Remark]:
     """Remark where the name of a recording states a speed [rpm] far from all speeds in its ShaftAngle ``shaft`` (time).
 
     At most one remark is returned.
     """
-    named = speed_in_name(PurePath(str(shaft.attrs["recording"])).stem)
+    named = named_speed(str(shaft.attrs["recording"]))
     speed = shaft["speed"].values[np.isfinite(shaft["speed"].values)]
-    if named is None or not _SPEED_WORD.search(str(shaft.attrs["recording"])) or not speed.size:
+    if named is None or not speed.size:
         return []
     low, high = (float(value) for value in np.quantile(speed, (_ENDS, 1.0 - _ENDS)))
     if low * (1.0 - _NOMINAL_SHARE) <= named <= high * (1.0 + _NOMINAL_SHARE):

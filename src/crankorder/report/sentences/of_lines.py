@@ -131,15 +131,12 @@ def no_order_sentence(findings: Findings) -> str:
 
 def _channels(findings: Findings) -> list[str]:
     """Channels with a line, the strongest first among those of one unit; units in the order of the channels."""
-    lines: list[OrderFinding | LineFinding] = [*findings.orders, *findings.lines]
-    names = dict.fromkeys(line.channel for line in lines)
-    strongest = {name: line for name in names if (line := _strongest_line(findings, name))}
-    analysed = [channel.name for channel in findings.channels]
+    names = [channel.name for channel in findings.channels]
     # those that were not analysed go last
-    places = {name: analysed.index(name) if name in analysed else len(analysed) for name in strongest}
-    ordered = sorted(strongest, key=places.__getitem__)
-    units = list(dict.fromkeys(unit_of(findings, strongest[name]) for name in ordered))
-    return sorted(ordered, key=lambda name: (units.index(unit_of(findings, strongest[name])), -strongest[name].size))
+    names += [line.channel for lines in (findings.orders, findings.lines) for line in lines]
+    strongest = {name: line for name in names if (line := _strongest_line(findings, name))}
+    units = list(dict.fromkeys(unit_of(findings, line) for line in strongest.values()))
+    return sorted(strongest, key=lambda name: (units.index(unit_of(findings, strongest[name])), -strongest[name].size))
 
 
 def _strongest_line(findings: Findings, channel: str) -> OrderFinding | LineFinding | None:
@@ -272,6 +269,7 @@ def mode_sentences(findings: Findings) -> list[str]:
         kind, moves = ("Forward", "rising") if slope > 0.0 else ("Backward", "falling")
         place = f"{frequency_text(mode.frequency_hz)} Hz{at_speed(mode.reference_rpm)}"
         sentences.append(f"{kind} whirl: {place}, {moves} by {abs(slope):.2f} orders.")
+    sentences += [no_mode_sentence(findings)] * (not sentences and any(map(is_undecided, modes)))
     doubts = [mode for mode in modes if is_undecided(mode)]
     beside: dict[tuple[float, ...], ModeFinding] = {}  # those beside one and the same named line are one
     for number, mode in enumerate(doubts):
@@ -286,15 +284,49 @@ def mode_sentences(findings: Findings) -> list[str]:
     return sentences
 
 
-def bearing_sentences(findings: Findings, *, with_rule: bool = True) -> list[str]:
-    """One sentence per bearing line of ``findings`` that was seen; ``with_rule`` adds the rule of its verdict."""
+def no_mode_sentence(findings: Findings) -> str:
+    """That no natural frequency stands, for ``findings`` without one, and where some may lie that are not decided."""
+    hertz = [frequency_text(mode.frequency_hz) for mode in findings.modes if is_undecided(mode)]
+    if not hertz:
+        return "No natural frequency was found."
+    return f"No natural frequency is proven; one may lie near {' Hz, near '.join(hertz[:_MOST_MODES])} Hz."
+
+
+def bearing_sentence(findings: Findings) -> str:
+    """Whether a bearing is failing by ``findings``: yes, no, not decided, or not looked for.
+
+    Empty where they do not state what was looked for.
+    """
+    lines, looked_for, doubt = bearing_lines(findings), findings.looked_for, findings.speed_doubt
+    unheard = "" if "envelope" in looked_for else "; strikes above the band looked at were not looked for"
+    if not lines and not {"bearings", "envelope"}.intersection(looked_for):
+        none = "no bearing" if findings.limits else "no bearing and no limit"
+        return f"Whether anything is failing was not looked for: the manifest names {none}." * bool(looked_for)
+    verdict = "Whether a bearing is failing is not decided"
+    if not lines and (doubt or nothing_proven(findings)):
+        return f"{verdict}: {'the speed is in doubt' if doubt else 'the recordings hold too few revolutions'}."
+    if not lines:
+        return f"No sign of a failing bearing: no line of those that are named stands out{unheard}."
+    name, record = max(lines, key=lambda line: (line[1].damage, _asks_re_run(line[1]), line[1].lock != "locked"))
+    order = f"order {order_name(record, findings)}"
+    if record.lock == "locked" and not _asks_re_run(record):
+        return f"No sign of a failing bearing: {order} lies at the {name} but is exactly locked to the shaft{unheard}."
+    where = ", in the envelope" * (record.seen_in == "envelope")
+    if where:
+        struck = "bearing is damaged" if record.damage else "bearing strikes, and which part is damaged is not decided"
+        verdict = f"If the speed is right, a {struck}" if doubt else f"A {struck}"
+    return f"{verdict}: {order}, the {name}, has {_level(findings, record)}{where}."
+
+
+def bearing_sentences(findings: Findings) -> list[str]:
+    """One sentence per bearing line of ``findings`` that was seen, with its verdict but for the rule to run again."""
     sentences = []
     for name, record in bearing_lines(findings):
-        text = f"Order {order_name(record, findings)} fits the {name}: {_seen(findings, record)}."
+        order = "If the speed is right, order" if findings.speed_doubt else "Order"
+        text = f"{order} {order_name(record, findings)} fits the {name}: {_seen(findings, record)}."
         parts = [part.strip().rstrip(".") for part in reason_text(record.verdict).split(". ")]
-        # the rule to re-run is said once
         verdict = [f"{part[0].upper()}{part[1:]}." for part in parts if part and "re-run" not in part.lower()]
-        sentences.append(" ".join([text, *verdict, *[RE_RUN_RULE] * (with_rule and _asks_re_run(record))]))
+        sentences.append(" ".join([text, *verdict]))
     return sentences
 
 
@@ -312,7 +344,7 @@ def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:
         names = list(dict.fromkeys(short(record.name) for record in records))
         noun = " bearings" if len(names) != 1 else "" if names[0].lower().endswith("bearing") else " bearing"
         name = f"{_BEARING_LINES.get(line, short(line))} line of the {listed(names)}{noun}"
-        lines.append((name, max(records, key=lambda record: record.size)))
+        lines.append((name, max(records, key=lambda record: (record.damage, record.size))))
     return lines
 
 
@@ -323,14 +355,18 @@ def _asks_re_run(record: BearingFinding) -> bool:
 
 def _seen(findings: Findings, record: BearingFinding) -> str:
     """Amplitude, where and at which speed it is so large, and slip of a line."""
-    text = level_text(findings, record) + (f" in {short(record.channel)}" if record.channel else "")
-    text += ", its mean over all speeds" if record.is_mean else at_speed(record.speed_rpm)
+    text = _level(findings, record)
     if record.seen_in == "envelope":
         band = envelope_band(record)
         text += f", in the envelope of {band} Hz" if band else ", in the envelope"
     if interval_of(record, "slip_percent") is not None and record.lock != "locked":
         text += f", slip {estimate_text(record, 'slip_percent')} %"
     return text + (f", {record.harmonics} multiples" if (record.harmonics or 0) > 1 else "")
+
+
+def _level(findings: Findings, record: BearingFinding) -> str:
+    text = level_text(findings, record) + (f" in {short(record.channel)}" if record.channel else "")
+    return text + (", its mean over all speeds" if record.is_mean else at_speed(record.speed_rpm))
 
 
 def envelope_band(record: BearingFinding) -> str:

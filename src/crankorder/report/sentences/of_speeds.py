@@ -9,6 +9,7 @@ from crankorder.findings import AvoidedSpeed, Findings, Level, LimitVerdict, Spe
 from crankorder.plot.reading import (
     NAME_CHARACTERS,
     SAME_MODE,
+    at_one_speed,
     at_speed,
     estimate_text,
     free_bands,
@@ -35,28 +36,49 @@ from crankorder.plot.reading import (
 from crankorder.records import known
 
 _PAIRS = 4  # crossings that a sentence names
-_ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
 _OF_ENCODER = {1.0: "an eccentric", 2.0: "an oval"}  # orders that an encoder off its centre makes
 _ONE_SHARE = 0.85  # shares of the speed whose least is so much of the largest are one
 _SIDES = 8  # orders that a sentence names as likely sidebands
 _NO_SOURCES = "Sidebands that a swing of the shaft makes of stronger orders may be all there is of"
 _SHOWN = 3  # free bands that a sentence names, the widest
+_GRAVEST = "above", "not decided", "within"  # verdicts on limits
+
+
+def speed_sentence(findings: Findings) -> str:
+    """The worst speed to avoid of ``findings`` and how many more there are; else which are free, or why none is.
+
+    Empty where nothing is known of speeds.
+    """
+    if avoided := findings.speeds_to_avoid:
+        others = f"; the worst of {len(avoided)} speeds to avoid" * (len(avoided) > 1)
+        return f"{_avoided(findings, avoided[0], most=1)[0]}{others}."
+    sentences = free_sentences(findings)
+    if not free_bands(findings):
+        return " ".join(sentences)
+    rest = " The rest is not free, or not known." * (len(sentences) > 1)
+    return f"No speed to avoid was found. {sentences[0]}{rest}"
 
 
 def avoid_sentences(findings: Findings) -> list[str]:
     """One sentence for each of the speeds to avoid of ``findings``, the worst first."""
     sentences = []
     for record in findings.speeds_to_avoid or ():
-        ends = known(record.rpm_range)
-        span = f" ({ends[0]:.0f} to {ends[1]:.0f} rpm)" if ends is not None else ""
-        meetings = dict.fromkeys(zip(map(nominal_order, record.orders), record.modes_hz, strict=False))
-        pairs = [_excites(order, mode_hz, findings) for order, mode_hz in meetings]
-        text = f"Avoid steady running near {record.rpm:.0f} rpm{span}, where {listed(pairs[:_PAIRS])}"
-        text += f", and {len(pairs) - _PAIRS} more meet" if len(pairs) > _PAIRS else ""
+        text, pairs = _avoided(findings, record, most=_PAIRS)
+        text += f", and {pairs - _PAIRS} more meet" if pairs > _PAIRS else ""
         if peak := _peak(findings, record):
-            text += f"; order {order_name(record, findings)}{' alone' if len(pairs) > 1 else ''}: {peak}"
+            text += f"; order {order_name(record, findings)}{' alone' if pairs > 1 else ''}: {peak}"
         sentences.append(f"{text}.")
     return sentences
+
+
+def _avoided(findings: Findings, record: AvoidedSpeed, *, most: int) -> tuple[str, int]:
+    """Speed to avoid with ``most`` of the orders that meet natural frequencies there, and how many these are."""
+    ends = known(record.rpm_range)
+    span = f" ({ends[0]:.0f} to {ends[1]:.0f} rpm)" if ends is not None else ""
+    meetings = dict.fromkeys(zip(map(nominal_order, record.orders), record.modes_hz, strict=False))
+    pairs = [_excites(order, mode_hz, findings) for order, mode_hz in meetings]
+    avoid = "If the speed is right, avoid" if findings.speed_doubt else "Avoid"
+    return f"{avoid} steady running near {record.rpm:.0f} rpm{span}, where {listed(pairs[:most])}", len(pairs)
 
 
 def _excites(order: float, mode_hz: float, findings: Findings) -> str:
@@ -75,8 +97,8 @@ def _peak(findings: Findings, record: AvoidedSpeed) -> str:
     parts = []
     if is_number(record.amplitude) and record.amplitude > 0:
         where = f" in {short(record.channel)}" if record.channel else ""
-        held = ", by the modal fit for a held speed" * record.by_fit
-        parts.append(f"peak {'at least ' * record.at_least}{level_text(findings, record)}{where}{held}")
+        held = "calculated by the modal fit for a held speed" if record.by_fit else "as recorded"
+        parts.append(f"peak {'at least ' * record.at_least}{level_text(findings, record)}{where}, {held}")
     if is_number(record.amplification) and record.amplification > 0:
         parts.append(f"amplified {_amplified(record)} times")
     return ", ".join(parts)
@@ -158,12 +180,10 @@ def free_sentences(findings: Findings) -> list[str]:
         ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
         remark = reason_text(wide_bands(findings.free_bands)[0].remark)
         sentences.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
-    else:
-        tested = [rpm for rpm in findings.speed_range_rpm if is_number(rpm)]
-        if tested and max(tested) - min(tested) < _ONE_SPEED_RPM:
-            return ["A test at one speed cannot tell which speeds are free of resonances."]
-        if findings.open_bands is not None and not findings.speeds_to_avoid:
-            sentences.append("No speed of the tested range can be called free of resonances.")
+    elif at_one_speed(findings):
+        return ["A test at one speed cannot tell which speeds are free of resonances."]
+    elif findings.open_bands is not None and not findings.speeds_to_avoid:
+        sentences.append("No speed of the tested range can be called free of resonances.")
     if unknown:
         widest_open = max(unknown, key=lambda band: band.high_rpm - band.low_rpm)
         reason = reason_text(widest_open.remark.split("; ")[0])
@@ -251,15 +271,19 @@ def level_sentences(findings: Findings) -> list[str]:
     return [f"{what} is {size}{at_speed(worst.speed_rpm)}."]
 
 
-def limit_sentences(findings: Findings, *, verdict: str | None = None) -> list[str]:
-    """Sentences on each limit in ``findings``, the most exceeded first; with a ``verdict`` on those alone."""
-    grave = {"above": 0, "not decided": 1}
+def limits_sentence(findings: Findings) -> str:
+    """Whether the limits of ``findings`` are kept: the gravest that is not, and how many more; empty without limits."""
+    others = sum(record.verdict != "within" for record in findings.limits) - 1
+    if others < 0:
+        return "All limits that were stated are kept." if findings.limits else ""
+    more = f" {others} more {'are' if others > 1 else 'is'} exceeded or not decided: see the table of limits."
+    return f"{limit_sentences(findings)[0]}{more * (others > 0)}"
 
-    def gravity(record: LimitVerdict) -> tuple[int, float]:
-        return grave.get(record.verdict, 2), -record.level / record.value if is_number(record.level) else 0.0
 
-    records = [record for record in findings.limits if verdict in (None, record.verdict)]
-    return [_limit_sentence(record) for record in sorted(records, key=gravity)]
+def limit_sentences(findings: Findings) -> list[str]:
+    """Sentences on each limit in ``findings``, the most exceeded first."""
+    by_excess = sorted(findings.limits, key=lambda limit: -(limit.level or 0.0) / limit.value)
+    return [_limit_sentence(record) for verdict in _GRAVEST for record in by_excess if record.verdict == verdict]
 
 
 def _limit_sentence(record: LimitVerdict) -> str:

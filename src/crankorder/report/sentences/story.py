@@ -88,35 +88,34 @@ class Story(TypedDict):
     what_to_do: list[str]
 
 
-def headline(findings: Findings) -> list[str]:
-    """The few sentences that matter most, the strongest line first; for the command line and the head of the page.
+def lead_of(findings: Findings) -> list[str]:
+    """What a test engineer asks first: what shakes most, which speed to avoid, and whether anything is failing.
 
-    They are on limits that are exceeded or not decided; the strongest line with its cause, the verdict on the first
-    bearing (first of all where a bearing strikes), the worst speed, the residual unbalance (or why it is not known),
-    the share of energy that nothing explains, and lines below the lowest order that is resolved; for a structure that
-    does not turn, on its natural frequencies. ``findings`` are those of ``data_schema/findings.json``. Never empty.
+    What fails, a limit or a bearing, goes first of the three, and a doubt about the speed before them. A structure that
+    does not turn has its natural frequencies and limits. ``findings`` are those of ``data_schema/findings.json``. Never
+    empty.
     """
     if findings.not_asked_for:
         return [*of_speeds.shaft_sentences(findings), f"Findings were {reason_text(findings.not_asked_for)}."]
-    energy = filter(None, [energy_sentence(findings)])
-    undecided = of_speeds.limit_sentences(findings, verdict="not decided")
-    limits = [*of_speeds.limit_sentences(findings, verdict="above")[:1], *undecided[:1]]
-    if len(undecided) > 1:
-        limits.append(f"{len(undecided)} limits are not decided: see their table.")
-    if _stands_still(findings):
-        return [*limits, *of_lines.mode_sentences(findings)[:1], *energy]
-    lines = of_lines.line_sentences(findings)[: 1 + of_lines.lies_above(findings)]
-    bearings = of_lines.bearing_sentences(findings)[:1]
-    strikes = any(record.damage for record in findings.bearings)
-    return [
-        *of_speeds.doubt_sentences(findings),
-        *limits,
-        *(bearings + lines if strikes else lines + bearings),
-        *of_lines.slow_sentences(findings),
-        *(of_speeds.avoid_sentences(findings) or of_speeds.free_sentences(findings))[:1],
-        *balance_sentences(findings)[:1],
-        *energy,
-    ]
+    still, limits = _stands_still(findings), of_speeds.limits_sentence(findings)
+    lines = of_lines.mode_sentences(findings) if still else of_lines.line_sentences(findings)
+    shakes = lines[: 1 + (not still and of_lines.lies_above(findings))]
+    speed, bearing = ("", "") if still else (of_speeds.speed_sentence(findings), of_lines.bearing_sentence(findings))
+    fails = any(record.damage for record in findings.bearings), any(one.verdict == "above" for one in findings.limits)
+    answers = [limits, bearing, *shakes, speed] if any(fails) else [*shakes, speed, limits, bearing]
+    return [*of_speeds.doubt_sentences(findings), *filter(None, answers)]
+
+
+def headline(findings: Findings) -> list[str]:
+    """The few sentences that matter most: those of :func:`lead_of`, then the residual unbalance and the energy.
+
+    Also on lines below the lowest order that is resolved; ``findings`` are those of ``data_schema/findings.json``.
+    """
+    if findings.not_asked_for:
+        return lead_of(findings)
+    balance = balance_sentences(findings, brief=True)[:1]
+    turns = [] if _stands_still(findings) else [*of_lines.slow_sentences(findings), *balance]
+    return [*lead_of(findings), *turns, *filter(None, [energy_sentence(findings)])]
 
 
 def story_of(findings: Findings) -> Story:
@@ -138,7 +137,7 @@ def story_of(findings: Findings) -> Story:
         what=of_lines.line_sentences(findings) + levels,
         why=[
             *law_sentences(findings), *of_speeds.swing_sentences(findings), *modes, *tones,
-            *of_lines.motor_sentences(findings), *of_lines.bearing_sentences(findings, with_rule=False),
+            *of_lines.motor_sentences(findings), *of_lines.bearing_sentences(findings),
             *balance_sentences(findings),
         ],
         how_sure=[INTERVALS, *of_speeds.doubt_sentences(findings), *shares, *lock_sentences(findings), *quality],
@@ -311,11 +310,17 @@ def lock_sentences(findings: Findings) -> list[str]:
     return sentences
 
 
-def balance_sentences(findings: Findings) -> list[str]:
-    """Residual unbalance of ``findings`` in grams with intervals, the most telling first; or why it is not known."""
+def balance_sentences(findings: Findings, *, brief: bool = False) -> list[str]:
+    """Residual unbalance of ``findings`` in grams with intervals, the most telling first; or why it is not known.
+
+    A ``brief`` reason does not say what would tell.
+    """
     balance = findings.balance
+    if balance is not None and findings.speed_doubt:
+        return ["Residual unbalance in grams is not decided, for the speed is in doubt."]
     if balance is None:
         reason = reason_text(findings.balance_reason)
+        reason = reason.partition("; ")[0].partition(". ")[0] if brief else reason
         return [f"Residual unbalance in grams is not known: {reason}."] if reason else []
     sentences = []
     but = ", if order 1 is unbalance" if balance.if_unbalance else ""
