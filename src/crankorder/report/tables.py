@@ -312,7 +312,7 @@ def _limits(findings: Findings, limit: int) -> Table:
 
 
 def _levels(findings: Findings, limit: int) -> Table:
-    """Overall levels, the largest over speed; by speed and in one-third octaves folded under it."""
+    """Overall levels, the largest over speed; at every speed folded under it."""
     every, largest = list[list[str]](), list[list[str]]()
     for level in findings.vibration_levels:
         unit = unit_text(level.unit)
