@@ -135,7 +135,7 @@ const drawLines = () => {
   const [x, y] = axes, speeds = list(41, (k) => y.of(y.from + (k / 40) * (y.to - y.from))).filter((speed) => speed > 0);
   const pointsOf = (line) => speeds.map((speed) => [xOf(line, speed), speed]);
   const asked = (name, records) => ($(`live-${name}`).checked ? records : []);
-  const lines = [...asked("orders", D.orders.filter(here)), ...asked("modes", D.fixed)], taken = [[0, 90, y.to - 14]];
+  const lines = [...asked("orders", D.orders.filter(here)), ...asked("modes", D.fixed)], taken = [[0, 78, y.to - 14]];
   for (const line of lines) curve(axes, pointsOf(line), line.colour, 1, here(line) ? line.alpha : line.alpha / 2, line.dashes);
   curve(axes, pointsOf(cursor()), "#7dff9a");
   curve(axes, x.range.map((end) => [end, rpm]), "#7dff9a");
