@@ -26,7 +26,6 @@ from crankorder.plot.axes import (
     positive,
     scale,
     values_of,
-    whole_picture,
     y_label,
 )
 from crankorder.plot.campbell_figure import orders_of

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
@@ -24,7 +24,6 @@ from crankorder.channel_units import unit_text
 from crankorder.findings import CrossingFinding, Findings, ModeFinding, OrderFinding
 from crankorder.plot.campbell_figure import level_limits, speed_cells
 from crankorder.plot.labels import mode_style, mode_text
-from crankorder.plot.orders_figure import shown_tracks
 from crankorder.plot.palette import level_colours
 from crankorder.plot.reading import (
     channel_level,
@@ -41,6 +40,7 @@ from crankorder.plot.reading import (
     order_text,
     short,
     speeds_text,
+    strongest_by,
 )
 from crankorder.quantities import Floats
 from crankorder.records import known
@@ -58,7 +58,6 @@ _MARKED = frozenset({"excited", "suspect", "bad"})
 _STEP_DB = 0.005
 _TOP = 60_000  # code of the largest cell of a channel; 300 dB below it nothing is left
 _MAP_CELLS = {"campbell_map": 525_000, "order_map": 75_000}  # 2.7 bytes each: 1.6 MB of a page of 5 MB
-_TRACK_VALUES = 60_000  # 5.4 bytes each
 _FEWEST_COLUMNS = 400  # of a map that is pooled to fit; less shows no lines
 _MOST_CHANNELS = 64
 _MOST_LINES = 400
@@ -97,17 +96,17 @@ def report_page(
     limit = settings.max_name_characters
     lead, story = lead_of(findings), story_of(findings)
     told = [(title, [text for text in story[key] if text not in lead]) for key, title in _ANSWERS.items()]
+    tables = [*tables_of(findings, limit=limit), ("provenance", provenance_table(provenance))]
     live = live_data(groups, findings, settings=settings) if settings.pictures else ""
     return rendered_page(
         "report.html",
-        has_script=bool(live),
+        has_script=bool(live) or any(part.is_long for _, table in tables for part in table.parts),
         live=Markup(live),  # JSON without <, > and &
         test=named(findings.test, limit=limit),
         lead=lead,
         story=[(title, _first_and_rest(sentences)) for title, sentences in told],
         pictures=_embedded(pictures, limit=4 * limit),
-        tables=tables_of(findings, limit=limit),
-        provenance=provenance_table(provenance),
+        tables=tables,
         marked=_MARKED,
     )
 
@@ -127,7 +126,7 @@ def _embedded(pictures: Sequence[ShownPicture], *, limit: int) -> list[dict[str,
         embedded.append({
             "link": _beside(picture.file), "file": named(picture.file, limit=limit),
             "caption": named(picture.caption, limit=limit), "png": Markup(_base64(png)),
-            "live": picture.file.startswith(("campbell_", "orders.")),
+            "live": picture.file.startswith("campbell_"),
         })  # fmt: skip
     return embedded
 
@@ -193,38 +192,39 @@ def _digest(text: str) -> str:
 
 
 Record = dict[str, object]
-"""A map, the tracks, or a thing that the findings name, as the script of the page reads it."""
+"""A map, or a thing that the findings name, as the script of the page reads it."""
 
 
 def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings: ReportSettings) -> str:
-    """JSON for the script of the page, safe inside a script element; empty where there is neither map nor track.
+    """JSON for the script of the page, safe inside a script element; empty where there is no map.
 
-    ``groups`` are the datasets of the results by name: maps (channel, speed, order or frequency) and tracks (channel,
-    order, speed); ``findings`` are those of the test, ``settings`` those of the report. In maps with many cells
-    neighbouring columns are pooled by their maximum, and the last channels are left out, so that a page stays below
-    5 MB whatever its test holds.
+    ``groups`` are the datasets of the results by name: maps (channel, speed, order or frequency); ``findings`` are
+    those of the test, ``settings`` those of the report. In maps with many cells neighbouring columns are pooled by
+    their maximum, and the last channels are left out, so that a page stays below 5 MB whatever its test holds.
     """
-    first = next((groups[name] for name in (*_TITLES, "order_tracks") if name in groups), None)
+    first = next((groups[name] for name in _TITLES if name in groups), None)
     if first is None:
         return ""
     names, units = (first[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit"))
     names = [named(name, limit=settings.max_name_characters) for name in names]
-    levels = [channel_level(first, number, settings=settings) for number in range(len(names))]
-    references = [reference for reference, _ in levels]
+    references = [channel_level(first, number, settings=settings)[0] for number in range(len(names))]
     maps = [*filter(None, (_map(name, groups[name], references, settings) for name in _TITLES if name in groups))]
-    tracks = _tracks(groups.get("order_tracks"), len(names), limit=settings.max_labelled_orders)
-    if not maps and tracks is None:
+    if not maps:
         return ""
+    sources = first["channel"].values[: len(names)].astype(str).tolist()
+    strongest = strongest_by(findings.orders, lambda record: record.channel)
+    tops = [strongest.get(source) for source in sources]
+    sizes = [top.amplitude if top and unit == units[0] else 0.0 for top, unit in zip(tops, units, strict=True)]
+    fastest = float(np.nan_to_num(first["speed"].values, posinf=0.0, neginf=0.0).max(initial=0.0))
     document = {
-        "hint": HINT, "freeText": "Free of resonances at this speed.", "unasked": bool(findings.not_asked_for),
-        "colours": _base64(level_colours().tobytes()),
+        "hint": HINT, "first": sizes.index(max(sizes)),
+        "colours": _base64(np.insert(level_colours(), 3, 255, axis=1).tobytes()),
         "channels": [
-            {"name": name, "unit": unit_text(unit), "reference": reference, "level": text}
-            for name, unit, (reference, text) in zip(names, units, levels, strict=True)
+            {"name": name, "unit": unit_text(unit), "reference": reference, "order": top.order if top else 1.0,
+             "rpm": (top and top.speed_rpm_at_max) or fastest}
+            for name, unit, reference, top in zip(names, units, references, tops, strict=True)
         ],
-        "maps": maps, "tracks": tracks,
-        "guides": [{"order": order, "text": order_text(order)} for order in _GUIDES],
-        **_statements(findings, [str(name) for name in first["channel"].values[: len(names)]], settings),
+        "maps": maps, **_statements(findings, sources, settings),
     }  # fmt: skip
     text = json.dumps(document, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
@@ -266,7 +266,7 @@ def _map(name: str, dataset: xr.Dataset, references: list[float], settings: Repo
     step = float(x[-1] - x[0]) / (len(x) - 1)
     rows = _shortened(np.column_stack([speed[kept], speed_cells(speed[kept])]).tolist())
     return {
-        "kind": kind, "title": title, "label": label, "x0": float(x[0]) + (pool - 1) / 2 * step, "dx": pool * step,
+        "kind": kind, "name": title, "label": label, "x0": float(x[0]) + (pool - 1) / 2 * step, "dx": pool * step,
         "nx": columns, "pooled": pool, "rows": rows, "largest": largest, "limits": limits, "cells": codes,
     }  # fmt: skip
 
@@ -288,49 +288,48 @@ def _codes(values: Floats, top: float) -> NDArray[np.uint16]:
     return np.asarray(np.where(share > 0, np.clip(code, 1, _TOP), 0).astype("<u2"))
 
 
-def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> Record | None:
-    """Values (channel, order, speed) as base64 of 32-bit floats; an amplitude of -inf is not read."""
-    if tracks is None or not tracks.sizes["order"] or tracks.sizes["speed"] < 2:
-        return None
-    shown = shown_tracks(tracks, limit=limit)
-    kept = min(channels, int(_TRACK_VALUES / max(4 * shown.amplitude[0].size, 1)))
-    if not kept or not np.isfinite(shown.speed).all():
-        return None
-    amplitude = np.where(shown.read, shown.amplitude, -np.inf)[:kept]
-    largest = np.nan_to_num(np.where(np.isfinite(amplitude), amplitude, 0.0)).max(axis=(1, 2))
-    orders = [{"order": float(order), "text": text} for order, text in zip(shown.orders, shown.texts, strict=True)]
-    values = {"amplitude": amplitude, "low": shown.low, "high": shown.high, "phase": shown.phase}
-    with np.errstate(over="ignore"):
-        packed = {key: _base64(part[:kept].astype("<f4").tobytes()) for key, part in values.items()}
-    return {
-        "kind": "tracks", "title": "Orders against speed", "speed": _shortened(shown.speed.tolist()),
-        "orders": orders, "largest": largest.tolist(), **packed,
-    }  # fmt: skip
-
-
 def _statements(findings: Findings, names: list[str], settings: ReportSettings) -> Record:
     """Findings as records for the script of the page; channels by their index in ``names``."""
     limit, modes = settings.max_name_characters, fixed_frequencies(findings)
     number = {name: place for place, name in enumerate(names)}
-    ranges = filter(None, (known(speed.rpm_range) for speed in findings.speeds_to_avoid or ()))
+    loudest = sorted(findings.orders, key=lambda record: -record.amplitude)
+    orders = [_order(record, findings, number, limit) for record in loudest if record.channel in number]
+    if findings.not_asked_for:
+        orders = [
+            _order_line(order, order_text(order), f"Order {order_text(order)}", names, number) for order in _GUIDES
+        ]
+    avoid = filter(None, (known(speed.rpm_range) for speed in findings.speeds_to_avoid or ()))
+    free = filter(None, (known((band.low_rpm, band.high_rpm)) for band in findings.free_bands))
+    bands = [{"range": ends, "text": f"Avoid {speeds_text(ends)} rpm"} for ends in avoid]
     statements = {
-        "orders": [_order(record, findings, number, limit) for record in findings.orders if record.channel in number],
+        "orders": orders,
         "fixed": [_fixed(mode, number, limit) for mode in modes],
-        "crossings": [_crossing(record, findings, modes, number) for record in findings.crossings if record.in_range],
+        "crossings": [
+            _crossing(record, findings, modes, number, limit) for record in findings.crossings if record.in_range
+        ],
         "lines": _lines(findings, number, limit),
-        "avoid": [{"low": low, "high": high, "text": f"Avoid {speeds_text((low, high))} rpm."} for low, high in ranges],
-        "free": [*filter(None, (known((band.low_rpm, band.high_rpm)) for band in findings.free_bands))],
+        "bands": [*bands, *({"range": ends, "text": "Free of resonances at this speed"} for ends in free)],
     }
     return {key: _shortened(value) for key, value in statements.items()}
 
 
+def _record(text: str, channels: Iterable[str], number: dict[str, int], **more: object) -> Record:
+    """Record for the script: a ``text`` on ``channels``, true near ``hz`` + ``slope`` · (rpm − ``from_rpm``) / 60."""
+    places = [number[channel] for channel in channels if channel in number]
+    return {"text": text, "channels": places, "hz": 0.0, "slope": 0.0, "from_rpm": 0.0, "half": 0.0, **more}
+
+
+def _order_line(order: float, label: str, text: str, channels: Iterable[str], number: dict[str, int]) -> Record:
+    style = {"label": label, "colour": "#ffffff", "alpha": 0.45, "dashes": (), "ink": ""}
+    return _record(text, channels, number, slope=order, **style)
+
+
 def _order(record: OrderFinding, findings: Findings, number: dict[str, int], limit: int) -> Record:
-    """Record of an order for the script: label, cause, speed of the maximum and speed range, by channel index."""
-    return {
-        "channel": number[record.channel], "order": record.order, "text": order_name(record, findings),
-        "why": named(record.explained_by or "unexplained", limit=2 * limit), "size": record.amplitude,
-        "at": record.speed_rpm_at_max, "seen": known(record.speed_range_rpm),
-    }  # fmt: skip
+    """Record of an order for the script: label, cause and the speeds at which it was seen."""
+    name, seen = order_name(record, findings), known(record.speed_range_rpm)
+    text = f"Order {name}: {named(record.explained_by or 'unexplained', limit=2 * limit)}"
+    text += f", seen at {speeds_text(seen)} rpm" if seen else ""
+    return _order_line(record.order, name, text, [record.channel], number)
 
 
 def _half_width(mode: ModeFinding) -> float:
@@ -342,47 +341,50 @@ def _half_width(mode: ModeFinding) -> float:
 def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> Record:
     """Record of a fixed frequency, or of a whirl with its ``slope``; ``half``: half bandwidth in Hz."""
     estimate = f"{estimate_text(mode, 'frequency_hz')} Hz"
-    kind, text, slope, rpm = mode_style(mode)[0], f"Natural frequency {estimate}", 0.0, 0.0
+    (kind, _, colour, dashes), text = mode_style(mode), f"Natural frequency {estimate}"
     if kind == "tone":
         text = f"{named(mode.explained_by, limit=limit).capitalize()} {estimate}"
     elif kind == "doubt":
         text = f"Perhaps a natural frequency, not decided: {estimate}"
     elif is_number(mode.damping_ratio):
         text += f", damping {number_text(100 * mode.damping_ratio, digits=2)} %"
-    if is_whirl(mode):
-        kind = "whirl" if kind == "mode" else kind
-        slope, rpm = mode.speed_slope or 0.0, mode.reference_rpm or 0.0
-    return {
-        "hz": mode.frequency_hz, "half": _half_width(mode), "slope": slope, "from_rpm": rpm, "kind": kind,
-        "name": mode_text(mode), "text": text,
-        "channels": [number[channel] for channel in mode.channels if channel in number],
-    }  # fmt: skip
+    slope, rpm = (mode.speed_slope or 0.0, mode.reference_rpm or 0.0) if is_whirl(mode) else (0.0, 0.0)
+    return _record(
+        f"{text}{_in(mode.channels, limit)}", mode.channels, number, hz=mode.frequency_hz, slope=slope, from_rpm=rpm,
+        half=_half_width(mode), label=mode_text(mode), colour=colour, alpha=0.8, dashes=dashes,
+        ink="warn" if kind == "tone" else "accent",
+    )  # fmt: skip
+
+
+def _in(channels: Sequence[str | None], limit: int) -> str:
+    names = ", ".join(filter(None, channels))
+    return f", in {named(names, limit=limit)}" if names else ""
 
 
 def _crossing(
-    crossing: CrossingFinding, findings: Findings, modes: list[ModeFinding], number: dict[str, int]
+    crossing: CrossingFinding, findings: Findings, modes: list[ModeFinding], number: dict[str, int], limit: int
 ) -> Record:
-    """Record of the crossing of an order and a natural frequency; ``half``: half bandwidth in Hz."""
+    """Record of the crossing of an order and a natural frequency, on the channels in which it is excited."""
     nearest = min(modes, key=lambda mode: abs(mode.frequency_hz - crossing.mode_hz), default=None)
-    channels = crossing.channels or (crossing.channel,)
+    channels, spread = crossing.channels or (crossing.channel,), max(0.02 * crossing.rpm, 1.0)
     factor = crossing.amplification or 0.0
     times = f", × {number_text(factor, digits=2)}" if crossing.excited and factor > 0 else ""
     verdict = crossing.verdict or ("excited" if crossing.excited else "not excited")
     where = f"order {order_name(crossing, findings)} meets {frequency_text(crossing.mode_hz)} Hz"
-    return {
-        "order": crossing.order, "hz": crossing.mode_hz, "half": 0.0 if nearest is None else _half_width(nearest),
-        "rpm": crossing.rpm, "excited": crossing.excited,
-        "text": f"Crossing: {where} near {crossing.rpm:.0f} rpm, {verdict}{times}.",
-        "channels": [number[channel] for channel in channels if channel in number],
-    }  # fmt: skip
+    text = f"Crossing: {where} near {crossing.rpm:.0f} rpm, {verdict}{times}{_in(channels, limit)}"
+    half, near = 0.0 if nearest is None else _half_width(nearest), (crossing.rpm - spread, crossing.rpm + spread)
+    shaken = ([*filter(None, channels)] or [*number]) if crossing.excited else []
+    return _record(text, shaken, number, hz=crossing.mode_hz, half=half, rpm=crossing.rpm, range=near)
 
 
 def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
-    """Records of the strongest spectral lines, by ``order`` or ``hz``, with their causes."""
+    """Records of the strongest spectral lines with their causes; the last, at no frequency, is said where none is."""
     shown = list[Record]()
     own = (line for line in findings.lines if line.channel in number)
     for line in sorted(own, key=lambda line: -line.size)[:_MOST_LINES]:
         place = f"{line.frequency_hz:.4g} Hz" if line.order is None else f"order {order_text(nominal_order(line))}"
-        text = f"Line at {place}: {named(line.explained_by or 'unexplained', limit=2 * limit)}."
-        shown.append({"channel": number[line.channel], "order": line.order, "hz": line.frequency_hz, "text": text})
-    return shown
+        text = f"Line at {place}: {named(line.explained_by or 'unexplained', limit=2 * limit)}"
+        at = {"hz": line.frequency_hz} if line.order is None else {"slope": line.order}
+        shown.append(_record(text, [line.channel], number, **at))
+    nothing = "Findings were not asked for" if findings.not_asked_for else "No line is named here"
+    return [*shown, {"text": nothing, "channels": [*number.values()]}]

@@ -31,7 +31,7 @@ from crankorder.plot.reading import (
     with_interval,
 )
 from crankorder.records import Record
-from crankorder.report.sentences.of_lines import envelope_band, no_mode_sentence, no_order_sentence
+from crankorder.report.sentences.of_lines import bearing_sentence, envelope_band, no_mode_sentence, no_order_sentence
 from crankorder.report.sentences.of_speeds import all_judged, band_of
 from crankorder.report.sentences.story import energy_sentence, source_text, stated_quantities, undecided_quantities
 
@@ -41,11 +41,6 @@ FLANK_ALONE = (
     "No order meets a natural frequency inside the tested speeds; the flank of one beyond them reaches in, as the "
     "bands below say."
 )
-NO_BEARING = (
-    "No bearing was named in the manifest, or none of its lines was seen. Strikes that ring above the "
-    "frequencies analysed are not looked for."
-)
-NO_BEARING_IN_ENVELOPE = "No bearing was named in the manifest, or none of its lines was seen in vibration or envelope."
 
 PARTS = (
     ("orders", "Orders"),
@@ -56,8 +51,8 @@ PARTS = (
 """Key in the findings and title of each part of the band, in the order of bar and table: together all of it."""
 
 _ABOVE = ("above_band", "Above the band, of all recorded")  # no part of the band
-_SHOWN = 40  # rows of a table that a page shows at once …
-_FOLDED = 400  # … and that it holds folded away; the files hold all
+_LONG = 30  # rows; a table with more has a filter, and no more of it are printed
+_MOST = 400  # rows of a table in a page; the files hold all
 
 
 @dataclass
@@ -77,6 +72,16 @@ class Table:
     beside: Table | None = None
     bars: Sequence[dict[str, object]] = ()
 
+    @property
+    def is_long(self) -> bool:
+        """Whether it has more rows than stand on paper; such a table has a filter."""
+        return len(self.rows) > _LONG
+
+    @property
+    def parts(self) -> list[Table]:
+        """The table itself and those that stand under it."""
+        return [self, *filter(None, (self.beside, self.more))]
+
 
 def table_of(
     title: str, heads: str, rows: list[list[str]], *, empty: str = "", note: str = "", more: Table | None = None
@@ -87,18 +92,9 @@ def table_of(
     above them; ``more`` is folded away.
     """
     columns = [dict[str, object](title=head.removesuffix("#"), number=head.endswith("#")) for head in heads.split("|")]
-    if len(rows) > _FOLDED:
-        note = f"{note} The first {_FOLDED} of {len(rows)}; findings.json holds all.".strip()
-    return Table(title, columns, rows[:_FOLDED], empty, note, more)
-
-
-def _folded(title: str, heads: str, rows: list[list[str]], *, empty: str, note: str) -> Table:
-    """Table of the first rows where there are many, all of them folded away under it; the strongest come first."""
-    if len(rows) <= _SHOWN:
-        return table_of(title, heads, rows, empty=empty, note=note)
-    note = f"{note} The {_SHOWN} strongest of {len(rows)}; the others are folded away below.".strip()
-    every = table_of(f"All {len(rows)} rows", heads, rows)
-    return table_of(title, heads, rows[:_SHOWN], empty=empty, note=note, more=every)
+    if len(rows) > _MOST:
+        note = f"{note} The first {_MOST} of {len(rows)}; findings.json holds all.".strip()
+    return Table(title, columns, rows[:_MOST], empty, note, more)
 
 
 def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
@@ -177,7 +173,7 @@ def _orders(findings: Findings, limit: int) -> Table:
     note += "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
     heads = "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#"
     heads += "|Speed exponent#|With speed|Meets, Hz#|Seen, rpm#"
-    return _folded("Orders", heads, rows, note=note if rows else "", empty=no_order_sentence(findings))
+    return table_of("Orders", heads, rows, note=note if rows else "", empty=no_order_sentence(findings))
 
 
 def _modes(findings: Findings, limit: int) -> Table:
@@ -273,8 +269,7 @@ def _bearings(findings: Findings, limit: int) -> Table:
         ])  # fmt: skip
     heads = "Bearing|Line|Verdict|Seen in|Order expected#|Order found#|Slip, %#|Amplitude (peak)#|Channel|Multiples#"
     heads += "|Sidebands, orders apart#|To the shaft"
-    empty = NO_BEARING_IN_ENVELOPE if "envelope" in findings.looked_for else NO_BEARING
-    return table_of("Bearings", heads, rows, empty=empty)
+    return table_of("Bearings", heads, rows, empty=bearing_sentence(findings) or "No line of a bearing was found.")
 
 
 def _balance(findings: Findings, limit: int) -> Table:
@@ -311,7 +306,7 @@ def _limits(findings: Findings, limit: int) -> Table:
 
 
 def _levels(findings: Findings, limit: int) -> Table:
-    """Overall levels, the largest over speed; by speed and in one-third octaves folded under it."""
+    """Overall levels, the largest over speed; at every speed folded under it."""
     every, largest = list[list[str]](), list[list[str]]()
     for level in findings.vibration_levels:
         unit = unit_text(level.unit)
@@ -338,17 +333,16 @@ def _levels(findings: Findings, limit: int) -> Table:
 
 
 def _third_octaves(findings: Findings, limit: int) -> Table:
-    """One-third octaves: the strongest of each channel, and folded all."""
-    rows, loudest = list[list[str]](), dict[str, tuple[float, list[str]]]()
-    for octave in sorted(findings.third_octaves, key=lambda octave: octave.channel):
-        level, mid_band = estimate_text(octave, "rms", unit=unit_text(octave.unit)), f"{octave.nominal_hz:g}"
-        rows.append([named(octave.channel, limit=limit), _whole(octave.speed_rpm), mid_band, level])
-        if octave.rms >= loudest.get(octave.channel, (0.0, []))[0]:
-            loudest[octave.channel] = octave.rms, rows[-1]
-    heads = "Channel|Speed, rpm#|Mid-band, Hz#|r.m.s.#"
-    more = table_of(f"All {len(rows)} one-third octaves", heads, rows) if rows else None
-    note = "The strongest of each channel, at the speed where all its octaves together are largest." if rows else ""
-    return table_of("One-third octaves", heads, [row for _, row in loudest.values()], note=note, more=more)
+    """One-third octaves: the strongest of each channel."""
+    loudest = {octave.channel: octave for octave in sorted(findings.third_octaves, key=lambda octave: octave.rms)}
+    rows = [
+        [named(channel, limit=limit), _whole(octave.speed_rpm), f"{octave.nominal_hz:g}",
+         estimate_text(octave, "rms", unit=unit_text(octave.unit))]
+        for channel, octave in sorted(loudest.items())
+    ]  # fmt: skip
+    note = "The strongest of each channel, where all its octaves together are largest; findings.json holds all "
+    note = f"{note}{len(findings.third_octaves)}." if rows else ""
+    return table_of("One-third octaves", "Channel|Speed, rpm#|Mid-band, Hz#|r.m.s.#", rows, note=note)
 
 
 def _energy(findings: Findings, limit: int) -> Table:
@@ -403,7 +397,7 @@ def _lines(findings: Findings, limit: int) -> Table:
         rows.append([named(line.channel, limit=limit), place, level, explained])
     note = energy_sentence(findings) if rows else ""
     empty = "No line of the vibration itself stands above the false-alarm level in the band that was looked at."
-    return _folded("All lines", "Channel|Line|Amplitude (peak)#|Explained by", rows, note=note, empty=empty)
+    return table_of("Lines", "Channel|Line|Amplitude (peak)#|Explained by", rows, note=note, empty=empty)
 
 
 def _quality(findings: Findings, limit: int) -> Table:
@@ -448,7 +442,7 @@ _TABLES = {
 
 def provenance_table(provenance: Mapping[str, object]) -> Table:
     """Inputs, versions and settings of ``provenance`` (as in ``data_schema/run.json``), one row per value, folded."""
-    rows = [[named(key, limit=120), named(value, limit=200)] for key, value in _flat("", provenance)][:_FOLDED]
+    rows = [[named(key, limit=120), named(value, limit=200)] for key, value in _flat("", provenance)][:_MOST]
     title, empty = "Inputs with hashes, versions and settings", "Nothing was recorded."
     everything = table_of(title, "Key|Value", rows, empty=empty)
     versions = provenance.get("versions")
