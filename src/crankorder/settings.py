@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from crankorder.errors import ManyErrors, RequestError
+from crankorder.errors import CrankorderError, ManyErrors, RequestError
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(gt=0)]
@@ -314,7 +314,7 @@ def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dic
     return table, source
 
 
-def extremes(value: Any, source: str, place: str = "") -> Iterator[RequestError]:
+def extremes(value: Any, source: str, place: str = "") -> Iterator[CrankorderError]:
     """A fault for each number in ``value``, a table or list of the file ``source``, that no machine and no test has.
 
     ``place``: key path of ``value`` in that file. Seeds may be any number.

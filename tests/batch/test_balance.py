@@ -150,7 +150,7 @@ def test_an_absurd_number_of_any_key_is_borne_or_named(seed, tmp_path):
             named = next(str(name) for name in (key, *place[::-1]) if isinstance(name, str))
             assert named in str(error) or abs(value) < 1e200, (place, key, value)
         else:
-            assert not abs(value) > 1e200 and not 0 < abs(value) < 1e-200 or key == "seed", (place, key, value)
+            assert (not abs(value) > 1e200 and not 0 < abs(value) < 1e-200) or key == "seed", (place, key, value)
 
 
 @pytest.mark.parametrize(

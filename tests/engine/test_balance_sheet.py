@@ -8,8 +8,9 @@ import pytest
 
 from crankorder.engine.balance_data import balanced_engine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
-from crankorder.engine.definition import BalanceShafts
-from crankorder.engine.forces import DIRECTIONS, crankcase_forces
+from crankorder.engine.balancing import moments_of
+from crankorder.engine.definition import BalanceShafts, Engine
+from crankorder.engine.forces import DIRECTIONS, FRAME, crankcase_forces
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.report.balance_sentences import balance_sentences
 from crankorder.settings import shipped
@@ -71,6 +72,19 @@ def test_several_cylinders_show_their_sum_and_no_strategies_of_one():
     assert sheet["moment_g_mm2"]["X"]["1"] == pytest.approx(500 * 40 * 100, rel=1e-12)
     couple_n_m = 500e-3 * 0.04 * 0.1 * (3000 * np.pi / 30) ** 2
     assert f"{couple_n_m:.4g} N·m of order 1" in " ".join(s for s in balance_sentences(sheet) if "rocking couple" in s)
+
+
+def test_the_frame_is_right_handed_and_the_crank_turns_from_z_to_x():
+    web = {"unbalance_g_mm": 1e4, "position_m": 0.3}
+    shafts = {"single": [{"speed_ratio": 1, "x_m": 0.2, "z_m": 0.1, "weights": [web]}]}
+    lengths = {"crank_radius_m": 0.04, "rod_length_m": 0.14, "reciprocating_mass_kg": 0.0}
+    engine = Engine.model_validate({**lengths, "shafts": shafts})
+    force = crankcase_forces(engine, 3000.0, max_order=1)[:, 1]
+    at_top, later = ((force * turn).real / np.abs(force).max() for turn in (1, 1j))
+    np.testing.assert_allclose([at_top, later, np.cross(at_top, later)], [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+    known = 1e7 * np.abs(np.cross([0.2, 0.3, 0.1], [-1j, 0, 1]))  # r × F
+    assert [moments_of(engine, 1)[axis]["1"] for axis in DIRECTIONS] == pytest.approx(known)
+    assert "right-handed, the crank turns from Z to X (positive about Y)" in FRAME.rotation
 
 
 def test_a_sheet_without_orders_or_speeds_is_refused():

@@ -62,9 +62,9 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
             rows[-1].append(Chart(f"{text} · {direction}", "N", curves, _FROM_DEAD_CENTRE))
     if "moment" in balance:
         values = 1e-3 * per_omega * dataset.order_sum(balance["moment"].values, balance["crank_angle"].values)
-        curves = dict(zip(balance["moment_axis"].values.tolist(), values, strict=True))
+        by_axis = dict(zip(balance["moment_axis"].values.tolist(), values, strict=True))
         moments = [
-            Curve(curves[name], LINES[number], text, f"moment-{name}")
+            Curve(by_axis[name], LINES[number], text, f"moment-{name}")
             for number, (name, text) in enumerate(
                 (("Z", "about Z"), ("X", "about X"), ("Y", "about Y, the crankshaft"))
             )

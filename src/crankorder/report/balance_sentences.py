@@ -63,9 +63,10 @@ def _amount(amount_g_mm: float, speed_rpm: float) -> str:
     return f"{size:.5g} g·mm ({_newton(size, speed_rpm)} at {speed_key(speed_rpm)} rpm)"
 
 
-def told_orders(amounts: Mapping[str, float] | None, largest: float, most: int) -> list[str]:
-    """The ``most`` largest orders of ``amounts``, ascending, without those that are nothing beside ``largest``."""
-    sizes = {order: size for order, size in (amounts or {}).items() if size and size >= NONE_SHARE * largest}
+def told_orders(amounts: Mapping[str, float] | None, most: int, largest: float = 0.0) -> list[str]:
+    """The ``most`` largest orders of ``amounts``, ascending, less what is nothing beside them or ``largest``."""
+    least = NONE_SHARE * max(largest, *(amounts or {}).values(), 0.0)
+    sizes = {order: size for order, size in (amounts or {}).items() if size > least}
     return sorted(sorted(sizes, key=lambda order: -sizes[order])[:most], key=float)
 
 
@@ -79,7 +80,7 @@ def _amounts(axes: Part, speed_rpm: float, most: int = 2, where: Mapping[AxisNam
     phrases = [
         f"{axes[axis][order]:.5g} g·mm ({_newton(axes[axis][order], speed_rpm)}) of order {order} {direction}"
         for axis, direction in where.items()
-        for order in told_orders(axes[axis], largest, most)
+        for order in told_orders(axes[axis], most, largest)
     ]
     return f"{listed(phrases)} at {speed_key(speed_rpm)} rpm" if phrases else _NO_FORCE
 
@@ -89,16 +90,20 @@ def _of_couples(moments: Part, speed_rpm: float, *, state: str = "") -> Iterator
     largest = _largest(moments, COUPLES)
     for axis, about in COUPLES.items():
         sizes = moments[axis] or {}
-        orders = [f"{_newton(sizes[k], speed_rpm, 'N·m')} of order {k}" for k in told_orders(sizes, largest, 3)]
+        orders = [f"{_newton(sizes[k], speed_rpm, 'N·m')} of order {k}" for k in told_orders(sizes, 3, largest)]
         if orders:
             yield f"{state}a rocking couple {about} remains: {listed(orders)} at {speed_key(speed_rpm)} rpm."
 
 
+def larger_parts(by_order: Part) -> dict[str, float]:
+    """Amplitude (N·m) of the larger one of gas and masses, by order."""
+    return {order: max(parts["gas_n_m"], parts["inertia_n_m"]) for order, parts in by_order.items()}
+
+
 def _side_by_side(by_order: Part, has_gas: bool, most: int) -> str:
     """Amplitudes of masses and gas, their sum, and which dominates, of the ``most`` largest orders."""
-    larger = {order: max(parts["gas_n_m"], parts["inertia_n_m"]) for order, parts in by_order.items()}
-    phrases = []
-    for order in told_orders(larger, max(larger.values(), default=0.0), most):
+    larger, phrases = larger_parts(by_order), list[str]()
+    for order in told_orders(larger, most):
         parts = by_order[order]
         masses, gas, both = (plain_number(parts[f"{part}_n_m"]) for part in PARTS)
         who = "gas dominates" if parts["dominates"] == "gas" else "masses dominate"

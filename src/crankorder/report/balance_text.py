@@ -6,7 +6,7 @@ Tables and paragraphs of plain text for a terminal are aligned, and never wider 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate, chain
 from typing import Any
 
@@ -15,6 +15,7 @@ from crankorder.errors import printable
 from crankorder.plot.reading import number_text
 from crankorder.report.balance_sentences import (
     NONE_SHARE,
+    larger_parts,
     layouts_of,
     plain_state,
     shaft_sets,
@@ -109,6 +110,7 @@ def page(head: Sequence[str], tables: Sequence[str], title: str, sheet: Part, *,
 
 
 _MOST_ORDERS = 24  # rows of a table by order
+_ABOUT = {"N": "", "N·m": "about "}
 _MASSES = {
     "reciprocating": "reciprocating",
     "rod_at_piston_pin": "… of which rod, at the piston pin",
@@ -134,28 +136,21 @@ def table_of(title: str, columns: str, parts: Iterable[Part], *, kept: int = 1) 
 
 def told_once(rows: Iterable[Part], *joined: str) -> list[dict[str, Any]]:
     """``rows`` of a table, those that are alike but for the keys ``joined`` as one row, with all values of these."""
-    groups: dict[tuple[tuple[str, str], ...], list[Part]] = {}
+    alike: dict[tuple[str, ...], dict[str, Any]] = {}
     for row in rows:
-        alike = tuple(
-            (key, _cell_text(value) if value is not None else "") for key, value in row.items() if key not in joined
+        kept = alike.setdefault(
+            tuple(_cell_text(row[key]) for key in row if key not in joined), {**row, **{key: {} for key in joined}}
         )
-        groups.setdefault(alike, []).append(row)
-    lists = {key: [[_cell_text(row[key]) for row in group] for group in groups.values()] for key in joined}
-    return [
-        {**group[0], **{key: ", ".join(dict.fromkeys(lists[key][n])) for key in joined}}
-        for n, group in enumerate(groups.values())
-    ]
+        for key in joined:
+            kept[key][_cell_text(row[key])] = None
+    return [{**kept, **{key: ", ".join(kept[key]) for key in joined}} for kept in alike.values()]
 
 
 def balance_text(sheet: Part, *, whole: bool = False) -> str:
     """Sentences of a balance ``sheet`` on one screen, no line wider than a page; ``whole``: all its tables too."""
-    frame, masses = sheet["frame"], sheet["masses_g"]
-    axes = "; ".join(f"{axis} {frame[axis]}" for axis in DIRECTIONS)
-    sizes = (short_number(masses[key]) for key in ("reciprocating", "rotating_at_crank_radius"))
-    moving = "{} g reciprocating, {} g rotating at the crank radius".format(*sizes)
-    each = "" if sheet["strategies"] else ", of each cylinder"
-    ratio = f"Crank ratio λ = {_crank_ratio(sheet['lambda'])}; {moving}{each}."
-    head = [printable(sheet["engine"], WIDTH), *paragraph(ratio), *paragraph(f"Axes: {axes}; {frame['rotation']}.")]
+    axes = "; ".join(f"{axis} {sheet['frame'][axis]}" for axis in DIRECTIONS)
+    head = [printable(sheet["engine"], WIDTH), f"Crank ratio λ = {_crank_ratio(sheet['lambda'])}"]
+    head += paragraph(f"Axes: {axes}; {sheet['frame']['rotation']}.")
     return page(head, _tables(sheet) if whole else (), "What remains unbalanced", sheet, whole=whole)
 
 
@@ -169,8 +164,8 @@ def _tables(sheet: Part) -> list[str]:
     lines += _by_speed(sheet, title, "force_g_mm", AXES, ("g·mm", "N")) or [f"{forces}: none", ""]
     title = f"Moments of the masses by order {plain_state(sheet)} (amplitude; g·mm²: over ω²)"
     lines += _by_speed(sheet, title, "moment_g_mm2", DIRECTIONS, ("g·mm²", "N·m"))
-    roll = sheet["roll_moment"]
-    lines += _parted("Roll moment on the block about Y", roll["by_speed"], roll["mean_n_m"] is not None)
+    if sheet["roll_moment"]["mean_n_m"] is not None:
+        lines += _parted("Roll moment on the block about Y", sheet["roll_moment"]["by_speed"], has_gas=True)
     lines += _strategies(sheet)
     shafts = [
         {**shaft, "name": name, "strategy": one["strategy"]} for name, one in sets.items() for shaft in one["shafts"]
@@ -218,46 +213,49 @@ def shown_orders(tables: Iterable[Mapping[str, float] | None]) -> list[str]:
     """Orders that are more than nothing in the ``tables`` (amount by order, or None), ascending; the largest ones."""
     given = [table for table in tables if table]
     largest = {order: max(abs(table.get(order, 0.0)) for table in given) for table in given for order in table}
-    return told_orders(largest, max(largest.values(), default=0.0), _MOST_ORDERS)
+    return told_orders(largest, _MOST_ORDERS)
 
 
-def or_none(rows: Sequence[Sequence[float]]) -> list[list[Cell]]:
-    """Amplitudes of a table, those that are nothing beside the largest of them as "none"."""
-    least = NONE_SHARE * max((abs(size) for row in rows for size in row), default=0.0)
-    return [["none" if abs(size) <= least else size for size in row] for row in rows]
+def or_none(sizes: Iterable[float], most: float) -> list[Cell]:
+    """Amplitudes of a table, "none" where they are nothing beside ``most``, its largest."""
+    return ["none" if size <= NONE_SHARE * most else size for size in sizes]
+
+
+def shown_rows(
+    columns: Mapping[AxisName, Sequence[Mapping[str, float] | None]],
+) -> Iterator[tuple[str, str, list[Cell]]]:
+    """Axis, order and amplitudes of each row of a table: what is nothing beside its largest is "none", or no row."""
+    every = [sizes for tables in columns.values() for table in tables for sizes in (table or {}).values()]
+    most = max(every, default=0.0)
+    for axis, tables in columns.items():
+        for order in shown_orders(tables):
+            sizes = _at(order, tables)
+            if max(sizes) > NONE_SHARE * most:
+                yield axis, order, or_none(sizes, most)
 
 
 def _by_speed(sheet: Part, title: str, key: str, axes: Sequence[AxisName], units: tuple[str, str]) -> list[str]:
     """Amounts by axis and order that stand at ``key``, over ω² and at every speed, beside what the piston is."""
     (over_omega, unit), scale, speeds = units, 1e-3 if units[1] == "N·m" else 1.0, sheet["force_n"]
-    forces, about = key == "force_g_mm", "" if key == "force_g_mm" else "about "
     heads = ["order", "axis", "A_k", over_omega, f"leading {over_omega}", *(f"{unit} at {key} rpm" for key in speeds)]
-    shown, rows = shown_orders(sheet[key].values()), list[Row]()
-    for axis in axes:
-        along = forces and axis == "Z"
+    rows: list[Row] = []
+    for axis, order, _ in shown_rows({axis: [sheet[key][axis]] for axis in axes}):
+        along, amount = key == "force_g_mm" and axis == "Z", sheet[key][axis][order]
         piston, leading = (sheet["harmonics"], sheet["leading_g_mm"] or {}) if along else ({}, {})
-        amounts = sheet[key][axis] or {}
-        for order in (order for order in shown if order in amounts):
-            at_speeds = [scale * newton(amounts[order], float(speed)) for speed in speeds]
-            rows.append(
-                [order, f"{about}{axis}", *(part.get(order) for part in (piston, amounts, leading)), *at_speeds]
-            )
+        at_speeds = [scale * newton(amount, float(speed)) for speed in speeds]
+        rows.append([order, f"{_ABOUT[unit]}{axis}", piston.get(order), amount, leading.get(order), *at_speeds])
     return text_table(title, heads, rows, kept=2)
 
 
 def _parted(title: str, by_speed: Part, has_gas: bool) -> list[str]:
     """Parts of a moment by order at every speed, and which of them dominates."""
-    rows = []
-    for speed, by_order in by_speed.items():
-        shown = shown_orders(
-            [{order: max(parts["gas_n_m"], parts["inertia_n_m"]) for order, parts in by_order.items()}]
-        )
-        rows += [{"rpm": speed, "order": order, **by_order[order]} for order in shown]
-    columns = "rpm|order|masses N·m=inertia_n_m"
-    if has_gas:
-        columns += (
-            "|gas N·m=gas_n_m|together N·m=sum_n_m|phase °=sum_phase_deg|larger=dominates|alike at rpm=alike_at_rpm"
-        )
+    rows = [
+        {"rpm": speed, "order": order, **by_order[order]}
+        for speed, by_order in by_speed.items()
+        for order in shown_orders([larger_parts(by_order)])
+    ]
+    of_gas = "|gas N·m=gas_n_m|together N·m=sum_n_m|phase °=sum_phase_deg|larger=dominates|alike at rpm=alike_at_rpm"
+    columns = f"rpm|order|masses N·m=inertia_n_m{of_gas * has_gas}"
     return table_of(f"{title} by order (amplitude)", columns, rows, kept=2)
 
 
@@ -271,14 +269,18 @@ def _strategies(sheet: Part) -> list[str]:
     higher = [{order: along[order] for order in along if order != "1"}]
     higher += [strategy["higher_orders_along_g_mm"] or {} for strategy in kept.values()]
 
-    def row(text: str, key: str, scale: float | None = None) -> list[Cell]:
-        sizes = [column.get(key) for column in columns]
-        if scale is None:
-            return [text, *sizes]
-        at_speed = (None if size is None else scale * newton(size, float(speed)) for size in sizes)
-        return [f"{text} at {speed} rpm", *at_speed]
+    most = max(plain.values())
 
-    by_order: list[Row] = [[f"order {order} along, g·mm", *_at(order, higher)] for order in shown_orders(higher)[:4]]
+    def row(text: str, key: str) -> list[Cell]:
+        return [text, *(column.get(key) for column in columns)]
+
+    def left(text: str, sizes: Sequence[float], unit: str = "g·mm") -> list[Cell]:
+        over = 1.0 if unit == "g·mm" else newton(1.0, float(speed))
+        return [f"{text}, {unit}", *or_none([over * size for size in sizes], over * most)]
+
+    first = {name: [column[f"residual_{name}_g_mm"] for column in columns] for name in ("along", "across")}
+    couples = [column.get("couple_g_mm2") for column in columns]
+    at_speed = [None if couple is None else 1e-3 * newton(couple, float(speed)) for couple in couples]
     turned = row("… on from opposite to the pin, °", "counterweight_deg")
     turns = {"line": "to and fro", "none": "no force"}
     rows: list[Row] = [
@@ -286,19 +288,17 @@ def _strategies(sheet: Part) -> list[str]:
         *([turned] if any(turned[1:]) else []),
         row("counterweight on the rod, g", "rod_counterweight_g"),
         row("counterweights in all, g", "total_g"),
-        row("order 1 along, g·mm", "residual_along_g_mm"),
-        row("order 1 across, g·mm", "residual_across_g_mm"),
-        row("order 1 along, N", "residual_along_g_mm", 1.0),
-        row("order 1 across, N", "residual_across_g_mm", 1.0),
-        *by_order,
-        row("couple at most, N·m", "couple_g_mm2", 1e-3),
+        *(left(f"order 1 {name}", sizes) for name, sizes in first.items()),
+        *(left(f"order 1 {name}", sizes, f"N at {speed} rpm") for name, sizes in first.items()),
+        *(left(f"order {order} along", _at(order, higher)) for order in shown_orders([{"1": most}, *higher])[1:5]),
+        [f"couple at most, N·m at {speed} rpm", *at_speed],
         ["order 1 turns", None, *(turns.get(strategy["rotation"], strategy["rotation"]) for strategy in kept.values())],
     ]
     return text_table("Strategies side by side", ["", "none", *kept], rows)
 
 
-def _at(order: str, amounts: Sequence[Mapping[str, float]]) -> list[float]:
-    return [by_order.get(order, 0.0) for by_order in amounts]
+def _at(order: str, amounts: Sequence[Mapping[str, float] | None]) -> list[float]:
+    return [(by_order or {}).get(order, 0.0) for by_order in amounts]
 
 
 def _cycle(cycle: Part | None) -> list[str]:
@@ -350,17 +350,10 @@ def _designs(sheet: Part) -> list[str]:
 
 def _remaining(sheet: Part, title: str, key: str, axes: Sequence[AxisName]) -> list[str]:
     """A row for each axis and order with the amounts at ``key`` that the plain engine and each layout leave."""
-    remains = f"residual_{key.removeprefix('force_')}"
+    remains, about = f"residual_{key.removeprefix('force_')}", _ABOUT["N" if key == "force_g_mm" else "N·m"]
     left = {"none": sheet[key], **{name: layout[remains] for name, layout in layouts_of(sheet).items()}}
-    amounts = {axis: [by_axis[axis] or {} for by_axis in left.values()] for axis in axes}
-    shown = {
-        axis: [k for k in shown_orders(chain(*amounts.values())) if any(k in one for one in amounts[axis])]
-        for axis in axes
-    }
-    about = "" if key == "force_g_mm" else "about "
-    names = [[order, f"{about}{axis}"] for axis in axes for order in shown[axis]]
-    sizes = or_none([_at(order, amounts[axis]) for axis in axes for order in shown[axis]])
-    rows = [[*name, *row] for name, row in zip(names, sizes, strict=True)]
+    columns = {axis: [by_axis[axis] for by_axis in left.values()] for axis in axes}
+    rows: list[Row] = [[order, f"{about}{axis}", *sizes] for axis, order, sizes in shown_rows(columns)]
     return text_table(title, ["order", "axis", *left], rows, kept=2)
 
 
