@@ -531,9 +531,16 @@ def export(result: Path, to: str, binary: bool, out: Path) -> None:
 @click.option(
     "--max-order", type=click.IntRange(4, 1000), default=8, show_default=True, help="Highest order in the tables."
 )
+@click.option("--all", "whole", is_flag=True, help="Every table too, not one screen.")
 @_picture_options
 def balance(
-    engine: str, as_json: bool, out: Path | None, speeds: tuple[float, ...], max_order: int, report: ReportOptions
+    engine: str,
+    as_json: bool,
+    out: Path | None,
+    speeds: tuple[float, ...],
+    max_order: int,
+    whole: bool,
+    report: ReportOptions,
 ) -> None:
     """Predict forces by order, balance strategies, shafts and residuals of ENGINE, a shipped name or a TOML file."""
     from crankorder.batch.balance import balance_of, document_text, publish_balance, table_text
@@ -542,7 +549,7 @@ def balance(
     if out is not None:
         for path in publish_balance(made, out, report=report):
             click.echo(str(path), err=True)
-    click.echo(document_text(made) if as_json else table_text(made), nl=as_json)
+    click.echo(document_text(made) if as_json else table_text(made, whole=whole), nl=as_json)
 
 
 @main.command()

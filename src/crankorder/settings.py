@@ -6,8 +6,10 @@ may change stands in ``N-stage.toml``; what belongs to a method, in a table per 
 
 from __future__ import annotations
 
+import math
+import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from crankorder.errors import ManyErrors, RequestError
+from crankorder.errors import CrankorderError, ManyErrors, RequestError
 
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(gt=0)]
@@ -23,6 +25,8 @@ Fraction = Annotated[float, Field(gt=0, lt=1)]
 Slip = Annotated[float, Field(gt=-50, lt=50)]
 LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-12, 0.1
 """Relative amplitude errors that can be asked for."""
+LEAST, MOST = 1e-30, 1e12
+"""Size of a number other than 0: beyond these nothing is physical, and products leave the range of the numbers."""
 ResultName = Literal[
     "order_map",
     "campbell_map",
@@ -274,27 +278,56 @@ def shipped(kind: str) -> dict[str, str]:
     return {name.removesuffix(".toml"): texts[name].read_text(encoding="utf-8") for name in sorted(texts)}
 
 
+def toml_path(name: str, beside: Path | None = None) -> Path | None:
+    """Path of the user's TOML file that ``name`` leads to, from the folder ``beside`` first where given; None if none.
+
+    What cannot be the name of a file, being too long or holding a NUL, leads to none.
+    """
+    candidates = [Path(name)] if beside is None else [beside / name, beside / f"{name}.toml", Path(name)]
+    # os.path.isfile: Path.is_file raises for a name that is too long
+    return next((path for path in candidates if path.suffix == ".toml" and os.path.isfile(path)), None)  # noqa: PTH113
+
+
 def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dict[str, object], str]:
     """Table of a shipped or a user's TOML file, and the name by which errors call it.
 
     ``name`` is a shipped file's stem in the folder ``kind``, or the path of a TOML file (tried from ``beside`` first
     where given).
-    Raises RequestError where no such file exists or its TOML is wrong (with line and column).
+    Raises RequestError where no such file exists or its TOML is wrong (with line and column), ManyErrors with every
+    number in it that is out of all proportion.
     """
-    ours = shipped(kind)
-    candidates = [Path(name)] if beside is None else [beside / name, beside / f"{name}.toml", Path(name)]
-    found = next((path for path in candidates if path.suffix == ".toml" and path.is_file()), None)
+    ours, found = shipped(kind), toml_path(name, beside)
     if found is None and name not in ours:
         allowed = f"{', '.join(ours) or 'none shipped'}, or a path of a .toml file"
         raise RequestError(f"no such {kind.removesuffix('s')}", found=name, allowed=allowed)
+    source = f"{kind}/{name}.toml" if found is None else found.name
     try:
-        text = ours[name] if found is None else found.read_text(encoding="utf-8")
-        return tomllib.loads(text), f"{kind}/{name}.toml" if found is None else found.name
+        table = tomllib.loads(ours[name] if found is None else found.read_text(encoding="utf-8"))
+        faults = [] if kind == "recipes" else list(extremes(table, source))  # settings have ranges of their own
     except RecursionError:
         raise RequestError("not valid TOML: nested too deep", file=found or name) from None
     except ValueError as error:  # of TOML, of UTF-8, of a number with thousands of digits
         remedy = "Mend the line that it names"
         raise RequestError("not valid TOML", file=found or name, found=error, remedy=remedy) from None
+    if faults:
+        raise ManyErrors(faults)
+    return table, source
+
+
+def extremes(value: Any, source: str, place: str = "") -> Iterator[CrankorderError]:
+    """A fault for each number in ``value``, a table or list of the file ``source``, that no machine and no test has.
+
+    ``place``: key path of ``value`` in that file. Seeds may be any number.
+    """
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, inner in items:
+            yield from extremes(inner, source, f"{place}.{key}".lstrip("."))
+        return
+    number = isinstance(value, int) or (isinstance(value, float) and math.isfinite(value))
+    if number and value and not LEAST <= abs(value) <= MOST and place.rpartition(".")[2] != "seed":
+        allowed = f"0, or {LEAST:g} … {MOST:g} either way"
+        yield RequestError("out of all proportion", file=source, place=place, found=value, allowed=allowed)
 
 
 def load_settings(

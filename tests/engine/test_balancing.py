@@ -85,10 +85,10 @@ def test_analytic_counterweights_end_an_unbalance_at_any_angle(strategy, angle_d
 def test_literature_each_possibility_cancels_what_task_5_says(possibility, first_left):
     left = [force for force in forces_of(with_shafts(ENGINE, possibility), 8) if force.rotation != "none"]
     assert left[0].order == first_left
-    assert all(force.y_g_mm == 0 for force in left)
+    assert all(force.across_g_mm == 0 for force in left)
     offset = {force.order: force for force in forces_of(with_shafts(turned(offset_m=0.006), "3"), 4)}
     assert offset[1].rotation == offset[2].rotation == "none"
-    assert abs(offset[3].x_g_mm) > 1
+    assert abs(offset[3].along_g_mm) > 1
 
 
 def test_a_single_cylinder_has_every_strategy_and_possibility_whatever_way_it_leans():
@@ -103,20 +103,20 @@ PARTS = st.complex_numbers(max_magnitude=1e6, allow_nan=False, allow_infinity=Fa
 
 @given(x=PARTS, y=PARTS, order=st.integers(1, 6))
 def test_analytic_rotating_parts_draw_the_curve_of_their_axes_within_their_largest(x, y, order):
-    force = OrderForce.of_axes(order=order, x_g_mm=x, y_g_mm=y)
+    force = OrderForce.of_axes(order=order, along_g_mm=x, across_g_mm=y)
     turn = np.exp(2j * np.pi * order * ANGLES)
     expected = (x * turn).real + 1j * (y * turn).real
     scale = abs(x) + abs(y) + 1e-300
     curve = polar_diagram([force], ANGLES)
     assert np.abs(curve - expected).max() <= 1e-12 * scale
-    assert abs(force.x_g_mm - x) + abs(force.y_g_mm - y) <= 1e-14 * scale
+    assert abs(force.along_g_mm - x) + abs(force.across_g_mm - y) <= 1e-14 * scale
     assert np.abs(curve).max() == pytest.approx(force.largest_g_mm, rel=1e-3, abs=1e-12 * scale)
 
 
 def test_the_direction_of_rotation_is_that_of_the_drawn_curve():
     turning = {(2, -2j): "with crank", (2, 2j): "against crank", (5, -1j): "with crank"}
     for (x, y), rotation in (turning | {(2, 0): "line", (0, -3j): "line", (0, 0): "none"}).items():
-        force = OrderForce.of_axes(order=1, x_g_mm=x, y_g_mm=y)
+        force = OrderForce.of_axes(order=1, along_g_mm=x, across_g_mm=y)
         assert force.rotation == rotation
         curve = polar_diagram([force], ANGLES)
         area = float(np.sum((curve.conj() * np.roll(curve, -1)).imag))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.engine.balance_data import load_balanced_engine
-from crankorder.engine.cycle_tables import cycle_balance, cycle_curves
+from crankorder.engine.cycle_tables import crank_torque, cycle_balance, cycle_curves, roll_moment
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import (
     DIRECTIONS,
@@ -147,6 +147,39 @@ def test_loads_are_those_of_an_independent_newton_euler_solution(seed):
     scale = max(float(np.abs(loads.crank_pin_n).max()), float(np.abs(gas).max()))
     for name, value in newton_euler(model, 2 * math.pi * angles, speed * math.pi / 30, gas).items():
         assert np.abs(getattr(loads, name) - value).max() < 1e-9 * scale, name
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_block_and_crank_feel_the_sum_of_gas_and_masses_that_newton_gives_body_by_body(seed):
+    draw, top, samples = np.random.default_rng(seed), 6, 1 << 15
+    cylinders = [
+        {"crank_deg": crank, "bank_deg": bank, "firing_deg": (bank - crank) % 360 + 360.0 * draw.integers(2), **own}
+        for _ in range(draw.integers(1, 7))
+        for crank, bank in [(90.0 * draw.integers(4), draw.uniform(-60, 60))]
+        for own in [{"offset_m": draw.uniform(-0.01, 0.01), "position_m": draw.uniform(-0.2, 0.2)}]
+    ]
+    ideal = {**IDEAL, "heat_j": draw.uniform(200, 900), "burn_start_deg": -15.0, "burn_duration_deg": 60.0}
+    model, speed = engine(cylinders=cylinders, gas={"ideal": ideal}), draw.uniform(800, 6000)
+    angles, felt = 4 * np.pi * np.arange(samples) / samples, np.zeros((4, samples))
+    for single, cylinder in zip(model.each, model.cylinders, strict=True):
+        bank, turned = math.radians(cylinder.bank_deg), angles + math.radians(cylinder.crank_deg - cylinder.bank_deg)
+        gas = gas_force(single, angles / (2 * np.pi) - firing_angle_deg(model, cylinder) / 360)
+        loads = newton_euler(single, turned, speed * math.pi / 30, gas)
+        along, across = loads["main_n"] + np.stack([gas, loads["side_thrust_n"]])
+        pin = model.crank_radius_m * np.stack([np.cos(turned), np.sin(turned)])
+        height = pin[0] + np.sqrt(model.rod_length_m**2 - (pin[1] - single.offset_m) ** 2)
+        felt[:2] += along * np.cos(bank) - across * np.sin(bank), along * np.sin(bank) + across * np.cos(bank)
+        felt[2] += height * loads["side_thrust_n"] - single.offset_m * gas
+        felt[3] += pin[0] * loads["crank_pin_n"][1] - pin[1] * loads["crank_pin_n"][0]
+    lines = 2 * np.fft.rfft(felt)[:, : 2 * top + 1] / samples
+    lines[:, 0] /= 2
+    for moment, known in ((roll_moment(model, top), lines[2]), (crank_torque(model, top), lines[3])):
+        assert np.abs(moment.at(speed)[2] - known).max() < 1e-8 * np.abs(known).max()
+        sums = {f"{order:g}": size for order, size in zip(moment.order, np.abs(known), strict=True) if order}
+        assert {k: row["sum_n_m"] for k, row in moment.table(speed).items()} == pytest.approx(sums, rel=1e-5)
+    masses = np.zeros((2, 2 * top + 1), dtype=complex)
+    masses[:, ::2] = crankcase_forces(model, speed, max_order=top)[[Z, X]]
+    assert np.abs(lines[:2] - masses)[:, 1:].max() < 1e-12 * np.abs(masses).max()  # gas adds no force
 
 
 def test_gas_and_masses_are_side_by_side_and_alike_where_it_says():

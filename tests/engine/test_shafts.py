@@ -157,12 +157,12 @@ def test_the_wheels_act_along_the_cylinder_alone(second):
 
 
 def test_wheels_that_straddle_the_cylinder_make_no_couple_and_others_do():
-    assert moments_of(turning(weighted_wheels(TRAIN, ENGINE)), 2)["about_crankshaft"] is None
+    assert moments_of(turning(weighted_wheels(TRAIN, ENGINE)), 2)["Y"] is None
     leaning = TRAIN.model_copy(
         update={"gears": tuple(g.model_copy(update={"y_mm": g.y_mm + 2}) if g.name in "DE" else g for g in TRAIN.gears)}
     )
     # the pair's force of size FIRST then acts 2 mm beside the cylinder axis
-    couple = moments_of(turning(weighted_wheels(leaning, ENGINE)), 2)["about_crankshaft"]
+    couple = moments_of(turning(weighted_wheels(leaning, ENGINE)), 2)["Y"]
     assert couple == {"1": pytest.approx(2 * FIRST, rel=1e-12)}
 
 

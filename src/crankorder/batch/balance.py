@@ -13,15 +13,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from crankorder.batch.result_folder import publish
 from crankorder.batch.store import text_sha256
 from crankorder.engine.balance_data import BalancedEngine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.elastic_hinge import hinge_sheet
 from crankorder.engine.hinged_crank import HingedEngine, load_hinged_engine
-from crankorder.errors import RequestError, located
+from crankorder.errors import located
 from crankorder.report.balance_sentences import balance_sentences, hinge_sentences
 from crankorder.report.balance_text import balance_text, hinge_text
 from crankorder.settings import ReportSettings, load_settings, toml_table
@@ -52,31 +50,22 @@ def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ())
     max_order : highest order, 4 or more
     speeds_rpm : crank speeds, rpm, above 0; those of the file where empty
 
-    Raises RequestError where there is no such file, or where a mass or length in it is so large that a number
-    overflows, ManyErrors with every fault of its content.
+    Raises RequestError where there is no such file, ManyErrors with every fault of its content.
     """
     speeds = tuple(speeds_rpm) or None
     table, source = toml_table(engine, "engines")
     subject: BalancedEngine | HingedEngine
-    overflow = np.errstate(over="ignore", invalid="ignore")  # told once, and by name of the file
     if table.get("kind") == HINGED:
         subject = load_hinged_engine(engine)
-        with overflow:
-            sheet = hinge_sheet(subject, max_order=max_order, speeds_rpm=speeds)
+        sheet = hinge_sheet(subject, max_order=max_order, speeds_rpm=speeds)
         sheet["sentences"] = hinge_sentences(sheet)
     else:
         subject = load_balanced_engine(engine)
-        with overflow, located(source):
+        with located(source):
             sheet = balance_sheet(subject, max_order=max_order, speeds_rpm=speeds)
             sheet["sentences"] = balance_sentences(sheet)
         speeds = speeds or subject.balance.speeds_rpm
-    balance = Balance(subject=subject, max_order=max_order, speeds_rpm=speeds, sheet=sheet)
-    try:
-        document_text(balance)
-    except ValueError:
-        remedy = "Look for masses, lengths or speeds with a wrong unit"
-        raise RequestError("its numbers are too large to be computed with", file=source, remedy=remedy) from None
-    return balance
+    return Balance(subject=subject, max_order=max_order, speeds_rpm=speeds, sheet=sheet)
 
 
 def document_text(balance: Balance) -> str:
@@ -84,9 +73,10 @@ def document_text(balance: Balance) -> str:
     return json.dumps(balance.sheet, ensure_ascii=False, allow_nan=False, indent=2)
 
 
-def table_text(balance: Balance) -> str:
-    """Tables and sentences of ``balance`` for a terminal."""
-    return hinge_text(balance.sheet) if isinstance(balance.subject, HingedEngine) else balance_text(balance.sheet)
+def table_text(balance: Balance, *, whole: bool = False) -> str:
+    """Sentences of ``balance`` for a terminal, on one screen; ``whole``: all its tables too."""
+    text = hinge_text if isinstance(balance.subject, HingedEngine) else balance_text
+    return text(balance.sheet, whole=whole)
 
 
 def publish_balance(balance: Balance, out: Path, *, report: Mapping[str, object] | None = None) -> list[Path]:

@@ -366,7 +366,7 @@ class GearTolerances(EngineData):
     mesh_deg: NonNegative
     position_mm: NonNegative
     weight_fraction: NonNegative
-    samples: Annotated[int, Field(ge=1)]
+    samples: Annotated[int, Field(ge=1, le=20_000)]
     seed: Annotated[int, Field(ge=0)]
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, get_args
 
 import numpy as np
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from crankorder.engine import balancing, shafts
 from crankorder.engine.balance_data import BalancedEngine, GearTolerances, GearTrain, ShaftPairParts, UnbalanceClass
 from crankorder.engine.balancing import POSSIBILITIES, STRATEGIES, Possibility, Strategy
-from crankorder.engine.cycle_tables import cycle_balance
+from crankorder.engine.cycle_tables import cycle_balance, roll_balance
 from crankorder.engine.definition import BalanceShafts, Engine, Weight
-from crankorder.engine.forces import Amounts, newton, speed_key
+from crankorder.engine.forces import FRAME, Amounts, newton, speed_key
 from crankorder.engine.shafts import Series
 from crankorder.engine.slider_crank import (
     SliderCrank,
@@ -40,8 +40,8 @@ FULL_TURN_REV = np.arange(720) / 720
 def balance_sheet(subject: BalancedEngine, *, max_order: int = 8, speeds_rpm: Sequence[float] | None = None) -> Sheet:
     """Balance of an engine: forces, moments, counterweights, shafts, parts, and what each of them leaves.
 
-    x lies along the cylinder, y across it (several cylinders: along Z and X). Orders and speeds (rpm) are keys, as
-    texts; a part that the engine has no data for is None.
+    Axes are those of ``FRAME``: one cylinder stands along Z. Orders and speeds (rpm) are keys, as texts; a part that
+    the engine has no data for is None.
 
     ``subject``: engine with its balance data. ``max_order``: highest order in the tables, ≥ 4. ``speeds_rpm``: crank
     speeds at which forces are given, > 0; the engine file's where left out. Raises RequestError outside these ranges.
@@ -56,6 +56,7 @@ def balance_sheet(subject: BalancedEngine, *, max_order: int = 8, speeds_rpm: Se
     several = [] if single else ["Masses are those of each cylinder; couples are counted from position 0."]
     return {
         "engine": engine.title or subject.name,
+        "frame": asdict(FRAME),
         "lambda": engine.mechanism.crank_ratio,
         "harmonics": _harmonics(engine.mechanism, max_order),
         "masses_g": {
@@ -71,6 +72,7 @@ def balance_sheet(subject: BalancedEngine, *, max_order: int = 8, speeds_rpm: Se
         "force_phase_deg": left["none"]["residual_phase_deg"],
         "moment_g_mm2": moment,
         "moment_phase_deg": balancing.moments_of(engine.bare, max_order, balancing.degrees_of),
+        "roll_moment": roll_balance(engine, max_order=max_order, speeds=speeds),
         "leading_g_mm": _leading(plain, max_order) if single and not engine.offset_m else None,
         "force_n": {
             speed_key(speed): {axis: amounts and _newtons(amounts, speed) for axis, amounts in force.items()}
@@ -177,10 +179,10 @@ def _strategy(subject: BalancedEngine, ways: dict[str, Engine], name: Strategy, 
         "counterweight_deg": added.crank_deg,
         "rod_counterweight_g": added.rod_g if name == "d" else None,
         "total_g": added.crank_g + added.rod_g,
-        "residual_x_g_mm": abs(first.x_g_mm),
-        "residual_y_g_mm": abs(first.y_g_mm),
+        "residual_along_g_mm": abs(first.along_g_mm),
+        "residual_across_g_mm": abs(first.across_g_mm),
         "rotation": first.rotation,
-        "higher_orders_x_g_mm": balancing.by_axis(higher)["x"],
+        "higher_orders_along_g_mm": balancing.by_axis(higher)["Z"],
         "couple_g_mm2": couple,
     }
 
@@ -213,7 +215,7 @@ def _built_for_ratio(engine: Engine, speeds: Sequence[float]) -> Sheet:
     """What a second-order pair built for λ instead of A2 leaves."""
     harmonic = abs(acceleration_harmonics(engine.mechanism, 2)[2])
     shortfall = float(engine.sliding_g_mm * (harmonic - engine.mechanism.crank_ratio))
-    return {"residual_x_g_mm": shortfall, "force_n": _by_speed(shortfall, speeds)}
+    return {"residual_along_g_mm": shortfall, "force_n": _by_speed(shortfall, speeds)}
 
 
 def _pair(pair: ShaftPairParts, classes: Sequence[UnbalanceClass], speeds: Sequence[float]) -> Sheet:
@@ -230,7 +232,7 @@ def _pair(pair: ShaftPairParts, classes: Sequence[UnbalanceClass], speeds: Seque
         return {
             "pair_unbalance_g_mm": unbalance_g_mm,
             "pair_force_g_mm": force_g_mm,
-            "residual_x_g_mm": left,
+            "residual_along_g_mm": left,
             "overbalance": force_g_mm / needed_g_mm,
             "residual_n": _by_speed(left, speeds),
             "class": _unbalance_class(left, classes),
@@ -334,10 +336,10 @@ def _rod(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet | None:
         "two_mass_inertia_kg_m2": scale.big_end_g * scale.small_end_g / scale.total_g * length_mm**2 * 1e-9,
         "rotating_deficit_g": deficit,
         "reciprocating_excess_g": excess,
-        "residual_x_g_mm": {"1": (deficit - excess) * radius_mm, "2": second},
-        "residual_y_g_mm": {"1": across},
-        "residual_x_second_n": _by_speed(second, speeds),
-        "residual_y_first_n": _by_speed(across, speeds),
+        "residual_along_g_mm": {"1": (deficit - excess) * radius_mm, "2": second},
+        "residual_across_g_mm": {"1": across},
+        "residual_along_second_n": _by_speed(second, speeds),
+        "residual_across_first_n": _by_speed(across, speeds),
     }
 
 
@@ -351,7 +353,7 @@ def _added_mass(subject: BalancedEngine, max_order: int, speeds: Sequence[float]
     amounts |= {order: first * share for order, share in _harmonics(engine.mechanism, max_order).items()}
     return {
         "mass_g": grams,
-        "residual_x_g_mm": amounts,
+        "residual_along_g_mm": amounts,
         "residual_n": {speed_key(speed): _newtons(amounts, speed) for speed in speeds},
         "class": _unbalance_class(amounts["1"], subject.balance.residual_classes),
     }
@@ -378,7 +380,7 @@ def _offset(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet | None:
         "amplitude_ratio": abs(in_first),
         "rephasing_deg": math.degrees(math.atan2(-in_first.imag, in_first.real)),
         "third_over_fourth": abs(in_third) / abs(in_fourth),
-        "quadrature_x_g_mm": quadrature,
+        "quadrature_along_g_mm": quadrature,
         "quadrature_n": _by_speed(quadrature, speeds),
         # of a force along the cylinder and the shafts that cancel it: Ruckle 2014, section 3.1.2; truth sheet 2.6
         "couple_Nm_at_rpm": {
@@ -408,15 +410,15 @@ def _reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> Sheet |
         force = balancing.polar_diagram(balancing.forces_of(turning, 2), FULL_TURN_REV)
         residual[series], across = float(np.abs(sliding + force.real).max()), float(np.abs(force.imag).max())
     radius = {gear.name: gear.weight_radius_mm or math.inf for gear in train.gears}
-    couple = balancing.moments_of(turning, 2)["about_crankshaft"] or {}
+    couple = balancing.moments_of(turning, 2)["Y"] or {}
     return {
         "speed_ratios": shafts.gear_speed_ratios(train),
         "pair_moments_g_mm": moments,
         "weights_g": {name: wheel.weights[0].unbalance_g_mm / radius[name] for name, wheel in wheels.items()},
         "couple_g_mm2": sum(couple.values(), 0.0),
         "transverse_g_mm": across,
-        "residual_x_g_mm": residual,
-        "residual_x_n": {series: _by_speed(amount, speeds) for series, amount in residual.items()},
+        "residual_along_g_mm": residual,
+        "residual_along_n": {series: _by_speed(amount, speeds) for series, amount in residual.items()},
         "tolerances": None if train.tolerances is None else _gear_errors(train, engine, train.tolerances),
     }
 

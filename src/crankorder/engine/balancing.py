@@ -17,8 +17,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.balance_data import BalancedEngine, CounterweightPlaces
 from crankorder.engine.definition import BalanceShafts, Cylinder, Engine, SingleShaft, Weight
-from crankorder.engine.forces import CANCELLED, DIRECTIONS, Amounts, X, Z, crankcase_forces, crankcase_moments
-from crankorder.engine.slider_crank import acceleration_harmonics, plain_piston_acceleration
+from crankorder.engine.forces import (
+    CANCELLED,
+    DIRECTIONS,
+    Amounts,
+    AxisName,
+    X,
+    Y,
+    Z,
+    crankcase_forces,
+    crankcase_moments,
+)
+from crankorder.engine.slider_crank import Complex, acceleration_harmonics, plain_piston_acceleration
 from crankorder.errors import RequestError
 
 Rotation = Literal["with crank", "against crank", "line", "none"]
@@ -39,11 +49,9 @@ SHAFTS: dict[Possibility, tuple[Strategy, tuple[int, ...]]] = {
 ROUND_OFF = 1e-12
 """Share of what the cylinders make one by one: what is below it of a sum, or of a difference, is round-off."""
 ONE_RADIAN_PER_S_RPM = 30 / math.pi
-MOMENT_AXES = {"about_x": "Z", "about_y": "X", "about_crankshaft": "Y"}
-"""Axes that moments are named for in a balance sheet, and the engine's direction that each of them is."""
 
-ByAxis = dict[str, Amounts | None]
-"""Amounts by axis; None for an axis that has none."""
+ByAxis = dict[AxisName, Amounts | None]
+"""Amounts by axis of the engine's frame; None for an axis that has none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,22 +67,24 @@ class OrderForce:
     reverse_g_mm: complex = 0j
 
     @classmethod
-    def of_axes(cls, *, order: int, x_g_mm: complex, y_g_mm: complex = 0j) -> OrderForce:
-        """The force whose part along the cylinder is Re(x_g_mm exp(i order φ)), and across it likewise with y_g_mm.
+    def of_axes(cls, *, order: int, along_g_mm: complex, across_g_mm: complex = 0j) -> OrderForce:
+        """The force whose part along the cylinder is Re(along_g_mm exp(i order φ)), and likewise across it.
 
-        ``order``: cycles per crank revolution, > 0. ``x_g_mm``, ``y_g_mm``: complex amplitudes over ω².
+        ``order``: cycles per crank revolution, > 0. ``along_g_mm``, ``across_g_mm``: complex amplitudes over ω².
         """
         return cls(
-            order=order, direct_g_mm=(x_g_mm + 1j * y_g_mm) / 2, reverse_g_mm=(x_g_mm - 1j * y_g_mm).conjugate() / 2
+            order=order,
+            direct_g_mm=(along_g_mm + 1j * across_g_mm) / 2,
+            reverse_g_mm=(along_g_mm - 1j * across_g_mm).conjugate() / 2,
         )
 
     @property
-    def x_g_mm(self) -> complex:
+    def along_g_mm(self) -> complex:
         """Complex amplitude along the cylinder."""
         return self.direct_g_mm + self.reverse_g_mm.conjugate()
 
     @property
-    def y_g_mm(self) -> complex:
+    def across_g_mm(self) -> complex:
         """Complex amplitude across the cylinder."""
         return -1j * (self.direct_g_mm - self.reverse_g_mm.conjugate())
 
@@ -113,14 +123,14 @@ def order_motions(engine: Engine, max_order: int) -> tuple[OrderMotion, ...]:
     Hartog (1956), Mechanical Vibrations, section 5.3.
     """
     force = crankcase_forces(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e6
-    moment = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
-    terms, reaches = _terms_g_mm(engine, max_order), reach_g_mm2(engine, max_order)
+    moment, terms = moments_g_mm2(engine, max_order), _terms_g_mm(engine, max_order)
+    reaches = reach_g_mm2(engine, max_order)
 
     def split(order: int, along: complex, across: complex, size: float) -> OrderForce:
         def clean(amplitude: complex) -> complex:
             return amplitude if abs(amplitude) > ROUND_OFF * size else 0j
 
-        parts = OrderForce.of_axes(order=order, x_g_mm=clean(complex(along)), y_g_mm=clean(complex(across)))
+        parts = OrderForce.of_axes(order=order, along_g_mm=clean(complex(along)), across_g_mm=clean(complex(across)))
         return OrderForce(order=order, direct_g_mm=clean(parts.direct_g_mm), reverse_g_mm=clean(parts.reverse_g_mm))
 
     return tuple(
@@ -181,25 +191,31 @@ def by_axis(forces: Iterable[OrderForce], number: Callable[[complex], float] = a
     amplitude · cos(k φ + phase), φ the crank angle.
     """
     every = tuple(forces)
-    along = {str(force.order): number(force.x_g_mm) for force in every if force.x_g_mm}
-    across = {str(force.order): number(force.y_g_mm) for force in every if force.y_g_mm}
-    return {"x": along or None, "y": across or None}
+    along = {str(force.order): number(force.along_g_mm) for force in every if force.along_g_mm}
+    across = {str(force.order): number(force.across_g_mm) for force in every if force.across_g_mm}
+    return {"Z": along or None, "X": across or None}
 
 
 def moments_of(engine: Engine, max_order: int, number: Callable[[complex], float] = abs) -> ByAxis:
-    """Moments (g·mm² over ω²) of ``engine`` by order 1 … ``max_order`` about Z, X and the crankshaft.
+    """Inertia moments (g·mm² over ω²) of ``engine`` about X, Y and Z by order 1 … ``max_order``.
 
     None for an axis about which there is none. ``number``: what is stated of each complex amplitude, as for
     :func:`by_axis`.
     """
+    moments = zip(DIRECTIONS, moments_g_mm2(engine, max_order), strict=True)
+    return {
+        axis: {str(k): number(complex(size)) for k, size in enumerate(sizes) if k and size} or None
+        for axis, sizes in moments
+    }
+
+
+def moments_g_mm2(engine: Engine, max_order: int) -> Complex:
+    """Complex inertia moment over ω² (g·mm²) on the crankcase, shape (3, max_order + 1); what cancels is zero.
+
+    Directions as in ``DIRECTIONS``. ``engine``: with its shafts. ``max_order``: ≥ 1.
+    """
     moments = 1e9 * crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order)
-    least = ROUND_OFF * reach_g_mm2(engine, max_order)
-    tables: ByAxis = {}
-    for name, axis in MOMENT_AXES.items():
-        by_order = [complex(moment) for moment in moments[DIRECTIONS.index(axis)]]
-        orders = [k for k in range(1, max_order + 1) if abs(by_order[k]) > least[k]]
-        tables[name] = {str(k): number(by_order[k]) for k in orders} or None
-    return tables
+    return np.where(np.abs(moments) > ROUND_OFF * reach_g_mm2(engine, max_order), moments, 0)
 
 
 def degrees_of(amplitude: complex) -> float:
@@ -380,7 +396,7 @@ def roll_height_m(engine: Engine) -> float | None:
     force = order_motions(engine.bare, 2)[1].force
     if not force.direct_g_mm or force.rotation != "line":
         return None
-    roll = complex(crankcase_moments(engine.bare, ONE_RADIAN_PER_S_RPM, max_order=2)[1, 2]) * 1e9
+    roll = complex(moments_g_mm2(engine.bare, 2)[Y, 2])
     # the direct shaft pulls −direct·exp(ikφ), whose part across is −(−i·direct); a lever z makes z·across about Y
     height = -roll / (1j * force.direct_g_mm)
     return None if abs(height.imag) > ROUND_OFF**0.5 * abs(height) else 1e-3 * height.real

@@ -13,10 +13,11 @@ from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_v
 from crankorder.engine.machine_parts import ASCENDING, NOT_EMPTY, Bearing, EngineData, NonNegative, Positive
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
-from crankorder.settings import toml_table, validation_fault
+from crankorder.settings import extremes, toml_path, toml_table, validation_fault
 
 GAS_COLUMNS = ("crank_angle_deg", "pressure_pa", "torque_n_m")
 """Columns that the CSV file of a gas curve may have: the first and one of the others."""
+ShaftOrder = Annotated[int, Field(ge=1, le=1000)]
 REVS_PER_CYCLE = {"four-stroke": 2, "two-stroke": 1, "rotor": 1}
 
 
@@ -26,7 +27,7 @@ class StatedPair(EngineData):
     Turning that fast it makes order² · ``unbalance_g_mm`` of force over ω² of the crank.
     """
 
-    order: Annotated[int, Field(ge=1)]
+    order: ShaftOrder
     unbalance_g_mm: Positive
 
 
@@ -74,7 +75,7 @@ class BalanceShafts(EngineData):
     their middle, along the crankshaft. Each of ``single`` acts as it stands there, in any direction.
     """
 
-    orders: tuple[Annotated[int, Field(ge=1)], ...] = Field(default=(), strict=False)
+    orders: tuple[ShaftOrder, ...] = Field(default=(), strict=False)
     pairs: tuple[StatedPair, ...] = Field(default=(), strict=False)
     unbalanced_mass_kg: float = 0.0
     timed_to: Literal["force", "crank"] = "force"
@@ -373,9 +374,7 @@ def with_gas_file(
 
 
 def _gas_of_file(file: str, gas: Collection[str], name: str, beside: Path | None) -> dict[str, list[float]]:
-    candidates = [Path(name)] if beside is None else [beside / name, beside / f"{name}.toml", Path(name)]
-    folder = next((path.parent for path in candidates if path.is_file()), Path())
-    path = folder / file
+    path = (toml_path(name, beside) or Path()).parent / file
     taken = {key for key in GAS_COLUMNS if key in gas}
     if taken:
         found = ", ".join(sorted(taken))
@@ -391,9 +390,12 @@ def _gas_of_file(file: str, gas: Collection[str], name: str, beside: Path | None
         allowed = "crank_angle_deg and pressure_pa or torque_n_m"
         raise RequestError("not the columns of a gas file", file=str(path), found=found, allowed=allowed)
     try:
-        return {key: [float(row[key]) for row in rows] for key in columns}
+        curve = {key: [float(row[key]) for row in rows] for key in columns}
     except (TypeError, ValueError) as error:
         raise RequestError("a value is no number", file=str(path), found=error) from None
+    for fault in extremes(curve, str(path)):
+        raise fault
+    return curve
 
 
 Model = TypeVar("Model", bound=EngineData)

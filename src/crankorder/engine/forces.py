@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,8 +27,25 @@ from crankorder.engine.slider_crank import (
 )
 from crankorder.errors import RequestError
 
-DIRECTIONS: tuple[Literal["X", "Y", "Z"], ...] = ("X", "Y", "Z")
-"""X across, Y along the crankshaft, Z along the cylinder away from the crankshaft; the crank turns from Z to X."""
+AxisName = Literal["X", "Y", "Z"]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Axes in which every force and moment of an engine is stated, in words; fixed to the crankcase."""
+
+    X: str = "across the cylinders"
+    Y: str = "along the crankshaft"
+    Z: str = "along the cylinder or the middle of the banks, away from the crankshaft"
+    rotation: str = "right-handed, the crank turns from Z to X (positive about Y)"
+    origin: str = "on the axis of the crankshaft at position 0"
+
+
+FRAME = Frame()
+"""The one frame of text, JSON, NetCDF and pictures; drawn in docs/method/engine.md."""
+DIRECTIONS: tuple[AxisName, ...] = get_args(AxisName)
+AXES: tuple[AxisName, ...] = ("Z", "X")
+"""Axes of forces: along Y there is none."""
 X, Y, Z = range(3)
 Amounts = dict[str, float]
 """Amplitudes by order, or forces by crank speed (rpm): orders and speeds as texts."""

@@ -194,8 +194,10 @@ def _work(torque: Complex, orders: Floats) -> Complex:
 
 def _rise(energy: Floats) -> Floats:
     """Mean speed over speed at the angles of a cycle, from the change of ω²/ω_mean² without its mean; its mean is 1."""
-    level = max(1.0, SLOWEST_SHARE**2 - float(energy.min()))
-    if np.mean(1 / np.sqrt(level + energy)) < 1 - 1e-9 and level > 1:
+    least = float(energy.min())
+    level = max(1.0, SLOWEST_SHARE**2 - least)
+    lost = level + least <= 0  # what is left of the speed is round-off of so large a swing
+    if lost or (np.mean(1 / np.sqrt(level + energy)) < 1 - 1e-9 and level > 1):
         raise _too_slow(SLOWEST_SHARE, "flywheel_inertia_kg_m2")
     for _ in range(100):  # Newton from the left of a falling convex curve: never beyond its zero
         squared = level + energy

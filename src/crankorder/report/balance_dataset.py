@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from crankorder.engine.balance_data import BalancedEngine
-from crankorder.engine.balancing import MOMENT_AXES, ONE_RADIAN_PER_S_RPM, forces_of, moments_of, polar_diagram, systems
-from crankorder.engine.cycle_tables import CycleCurves, cycle_curves
+from crankorder.engine.balancing import forces_of, moments_g_mm2, polar_diagram, systems
+from crankorder.engine.cycle_tables import PARTS, CycleCurves, MomentByOrder, crank_torque, cycle_curves, roll_moment
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import DIRECTIONS, crankcase_moments, unbalance_force_n
+from crankorder.engine.forces import AXES, DIRECTIONS, FRAME, unbalance_force_n
 from crankorder.plot.reading import listed
 from crankorder.quantities import Complexes, Floats
-from crankorder.report.balance_sentences import CYLINDER, FRAME, plain_state
+from crankorder.report.balance_sentences import CYLINDER, SEVERAL, plain_state
 
 SYSTEMS: dict[str, tuple[str, str]] = {
     "none": ("no balancing", "no counterweight, no shaft"),
@@ -52,8 +53,9 @@ def balance_dataset(
     """Force by system, axis and order over ω², in N by speed, and as the curve that it draws during a revolution.
 
     ``force`` (system, axis, order) is in g mm, ``force_at_speed`` (system, axis, order, speed) in N, ``curve`` (system,
-    axis, crank_angle) in g mm; the axis is "x" along the cylinder or "y" across it. A complex amplitude a means
-    Re(a exp(i order φ)). Engines of several cylinders also have ``moment`` (moment_axis, order) in g mm².
+    axis, crank_angle) in g mm; axes are those of ``FRAME``, which the attributes state. A complex amplitude a means
+    Re(a exp(i order φ)). ``roll_moment`` on the block and ``crank_torque`` (part, speed, gas_order) are in N m, of
+    masses, gas and both. Engines of several cylinders also have ``moment`` (moment_axis, order) in g mm².
 
     Parameters
     ----------
@@ -65,13 +67,15 @@ def balance_dataset(
     orders, angles = np.arange(1, max_order + 1), np.linspace(0, 1, max(_POINTS, 16 * max_order) + 1)
     ways = systems(subject)
     by_system = [forces_of(engine, max_order) for engine in ways.values()]
-    force = np.array([[[f.x_g_mm for f in forces], [f.y_g_mm for f in forces]] for forces in by_system])
+    force = np.array([[[f.along_g_mm for f in forces], [f.across_g_mm for f in forces]] for forces in by_system])
     diagrams = np.stack([polar_diagram(forces, angles) for forces in by_system])
     curves = np.stack([diagrams.real, diagrams.imag], axis=1)
     rotations = [max(forces, key=lambda force: force.largest_g_mm).rotation for forces in by_system]
     speeds, harmonics = np.asarray(speeds_rpm, dtype=np.float64), sheet["harmonics"]
     newtons = unbalance_force_n(np.abs(force)[..., None], speeds)
     on_crankcase = _about("amplitude of the force on the crankcase", "N")
+    roll, torque = (moment(subject.engine, max_order) for moment in (roll_moment, crank_torque))
+    parted = ("part", "speed", "gas_order")
     of_piston = _about("amplitude of the piston's acceleration over that of order 1", "1")
     dataset = xr.Dataset(
         {
@@ -79,33 +83,37 @@ def balance_dataset(
             "phase": (("system", "axis", "order"), _phase_deg(force), _about("of the force; " + _PHASE, "degree")),
             "force_at_speed": (("system", "axis", "order", "speed"), newtons, on_crankcase),
             "curve": (("system", "axis", "crank_angle"), curves, _about("force over squared crank speed", "g mm")),
+            "roll_moment": (
+                parted,
+                _parts(roll, speeds),
+                _about("amplitude of the moment on the block about Y", "N m"),
+            ),
+            "crank_torque": (parted, _parts(torque, speeds), _about("amplitude of the torque on the crank", "N m")),
             "rotation": ("system", rotations, _about("of its largest order")),
             "harmonic": ("harmonic_order", np.array(list(harmonics.values())), of_piston),
         },
         coords={
             "system": ("system", list(ways), _about("what is balanced and how")),
-            "axis": ("axis", ["x", "y"], _about("x along the cylinder, y across it")),
+            "axis": ("axis", list(AXES), _about("of the engine: attributes X, Y, Z")),
+            "part": ("part", list(PARTS), _about("of the moving masses, of the gas, and both together")),
+            "gas_order": ("gas_order", roll.order, _about("cycles per crank revolution; 0: the mean", "1")),
             "order": ("order", orders.astype(np.float64), _about("cycles per crank revolution", "1")),
             "speed": ("speed", speeds, _about("crank speed", "min-1")),
             "crank_angle": ("crank_angle", angles, _about("from top dead centre", "rev")),
             "harmonic_order": ("harmonic_order", np.array(list(map(float, harmonics))), _about("order", "1")),
         },
     )
+    dataset.attrs |= asdict(FRAME)
     dataset.attrs[PLAIN] = plain_state(sheet) if sheet["counterweights_in_file"] else SYSTEMS["none"][0]
     return dataset if subject.is_single else _with_moments(dataset, list(ways.values()), max_order)
 
 
 def _with_moments(dataset: xr.Dataset, engines: Sequence[Engine], max_order: int) -> xr.Dataset:
     """The dataset with the moments of several cylinders: of the engine without its shafts, and of every system."""
-    moment = np.zeros((len(engines), len(MOMENT_AXES), max_order), dtype=complex)
-    for number, engine in enumerate(engines):
-        amplitudes = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
-        for row, (name, kept) in enumerate(moments_of(engine, max_order).items()):
-            for order in map(int, kept or {}):
-                moment[number, row, order - 1] = amplitudes[DIRECTIONS.index(MOMENT_AXES[name]), order]
+    moment = np.stack([moments_g_mm2(engine, max_order)[:, 1:] for engine in engines])
     about = _about("amplitude over squared crank speed", "g mm2")
     phase = _about("of the moment; " + _PHASE, "degree")
-    return dataset.assign_coords(moment_axis=list(MOMENT_AXES)).assign(
+    return dataset.assign_coords(moment_axis=list(DIRECTIONS)).assign(
         moment=(("moment_axis", "order"), moment[0], about),
         moment_phase=(("moment_axis", "order"), _phase_deg(moment[0]), phase),
         moment_by_system=(("system", "moment_axis", "order"), moment, about),
@@ -117,7 +125,7 @@ def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
 
     Torques are (speed, crank_angle), the angle in degrees, loads of walls (speed, cylinder, crank_angle), of pins
     (speed, cylinder, direction, crank_angle) with the directions "along" and "across" the cylinder, of main bearings
-    (speed, bearing, axis, crank_angle) with the axes "x" and "z" of the engine.
+    (speed, bearing, axis, crank_angle) with the axes X and Z.
     """
     by_speed = cycle_curves(engine, speeds_rpm)
     angle, first = 360 * by_speed[0].crank_angle_rev, by_speed[0]
@@ -138,12 +146,17 @@ def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
         add("crank_pin_load", across, lambda curves: [load.crank_pin_n for load in curves.loads], about)
     if first.bearings_n is not None:
         dataset["axis"], dataset["bearing"] = (
-            ["x", "z"],
+            ["X", "Z"],
             ("bearing", np.asarray(engine.main_bearings_m), {"units": "m"}),
         )
         about = _about("crankshaft on main bearing", "N")
         add("main_bearing_load", ("bearing", "axis"), lambda curves: np.asarray(curves.bearings_n)[:, [0, 2]], about)
     return dataset
+
+
+def _parts(moment: MomentByOrder, speeds: Floats) -> Complexes:
+    """Parts of a moment, (part, speed, order), at ``speeds`` (rpm)."""
+    return np.stack([moment.at(float(speed)) for speed in speeds], axis=1)
 
 
 def _phase_deg(amplitudes: Complexes) -> Floats:
@@ -168,12 +181,12 @@ def _about(long_name: str, units: str = "") -> dict[str, str]:
 
 
 def axis_names(balance: xr.Dataset) -> tuple[str, str]:
-    """Names of the axes x and y of the balance dataset ``balance`` (system, axis, …).
+    """Names of the axes Z and X of the balance dataset ``balance`` (system, axis, …).
 
     An engine of several cylinders, whose dataset has ``moment`` (moment_axis, order), has Z and X; a single cylinder
     has its own directions.
     """
-    along, across = (FRAME if "moment" in balance else CYLINDER).values()
+    along, across = (SEVERAL if "moment" in balance else CYLINDER).values()
     return along, across
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 
 from crankorder.engine import hinged_crank as hinged
 from crankorder.engine.elastic_hinge import GUIDE_STEPS, Guides, Joint, hinge_guides, hinge_table
-from crankorder.engine.forces import speed_key, unbalance_force_n
+from crankorder.engine.forces import AXES, speed_key, unbalance_force_n
 from crankorder.engine.hinged_crank import GuideData, HingedCrankData, HingedEngine
 from crankorder.plot.drawing import Area, Box, Drawing, Panel, Stroke, Words
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, WHITE, drawable, text_width_in
@@ -24,7 +24,6 @@ from crankorder.settings import ReportSettings
 
 _ORDERS = "order, cycles per crank revolution"
 _FROM_DEAD_CENTRE = "crank angle from top dead centre, °"
-MOMENT_TEXT = {"about_x": "about Z", "about_y": "about X", "about_crankshaft": "about Y, the crankshaft"}
 
 
 def system_color(name: str) -> str:
@@ -55,7 +54,7 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
         newtons = per_omega * balance["curve"].sel(system=names)
         shown = {group[0]: dataset.called(group, balance) if several else "" for group in dataset.alike(newtons)}
         rows.append([])
-        for axis, direction in zip("xy", dataset.axis_names(balance), strict=True):
+        for axis, direction in zip(AXES, dataset.axis_names(balance), strict=True):
             curves = [
                 Curve(values, system_color(name), shown[name], f"force-{axis}-{name}", 2.2 if name == "none" else 1.4)
                 for name, values in zip(shown, newtons.sel(system=list(shown), axis=axis).values, strict=True)
@@ -63,9 +62,12 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
             rows[-1].append(Chart(f"{text} · {direction}", "N", curves, _FROM_DEAD_CENTRE))
     if "moment" in balance:
         values = 1e-3 * per_omega * dataset.order_sum(balance["moment"].values, balance["crank_angle"].values)
+        by_axis = dict(zip(balance["moment_axis"].values.tolist(), values, strict=True))
         moments = [
-            Curve(values[number], LINES[number], MOMENT_TEXT[name], f"moment-{name}")
-            for number, name in enumerate(balance["moment_axis"].values.tolist())
+            Curve(by_axis[name], LINES[number], text, f"moment-{name}")
+            for number, (name, text) in enumerate(
+                (("Z", "about Z"), ("X", "about X"), ("Y", "about Y, the crankshaft"))
+            )
         ]
         rocking = Chart("Rocking moments of the inertia forces", "N·m", moments[:2], _FROM_DEAD_CENTRE)
         roll = Chart("Roll moment of the masses on the engine block", "N·m", moments[2:], _FROM_DEAD_CENTRE)
@@ -81,7 +83,7 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
 
 def _in_words(balance: xr.Dataset, per_omega: float) -> str:
     """Text with the peak force without balancing and the smallest residual with counterweights and with shafts."""
-    along, across = (balance["curve"].sel(axis=axis).values for axis in "xy")
+    along, across = (balance["curve"].sel(axis=axis).values for axis in AXES)
     most = per_omega * np.hypot(along, across).max(axis=1)
     newtons = dict(zip(map(str, balance["system"].values), most.tolist(), strict=True))
     if not newtons["none"]:
@@ -105,7 +107,7 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
     """
     speed, per_omega = _at_highest_speed(balance)
     plain, angle = balance.sel(system="none"), balance["crank_angle"].values
-    shown = [axis for axis in "xy" if np.abs(plain["force"].sel(axis=axis)).max() > 0] or ["x"]
+    shown = [axis for axis in AXES if np.abs(plain["force"].sel(axis=axis)).max() > 0] or ["Z"]
     drawing = Drawing(settings.width_in, 0.72 * settings.height_in)
     limit = 1.12 * per_omega * float(np.abs(plain["curve"]).max()) or 1.0
     parts = (("both", INK, 3.0, [1.0, 2.0]), ("primary", LINES[0], 1.3, [1.0]), ("secondary", LINES[1], 1.3, [2.0]))
@@ -115,9 +117,9 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
         for name, color, width, orders in parts:
             amplitudes = plain["force"].sel(axis=axis).where(balance["order"].isin(orders), 0).values
             curves.append(Curve(per_omega * dataset.order_sum(amplitudes, angle), color, name, f"{name}-{axis}", width))
-        direction = dataset.axis_names(balance)["xy".index(axis)]
+        direction = dataset.axis_names(balance)[AXES.index(axis)]
         panels.draw_chart(drawing, box, Chart(direction, "N", curves, _FROM_DEAD_CENTRE), 360 * angle, limit=limit)
-    first, second = (complex(plain["force"].sel(axis="x", order=order).values) for order in (1.0, 2.0))
+    first, second = (complex(plain["force"].sel(axis="Z", order=order).values) for order in (1.0, 2.0))
     ratio = "no secondary force." if first else "no primary force."
     if first and second:
         share = 100 * (second.real / first.real) if first.real else 0.0
@@ -147,7 +149,7 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
     if "moment_by_system" in balance:
         rocking = dataset.alike(balance["moment_by_system"])
         moments = shown["moment_by_system"].sel(system=[names[0] for names in rocking]).values
-        about_z, about_x, roll = 1e-3 * moments.swapaxes(0, 1)
+        about_x, roll, about_z = 1e-3 * moments.swapaxes(0, 1)
         # the couple along Z and X as what turns with the crank and against it: the largest of the turn is their sum
         couple = (np.abs(about_x + 1j * about_z) + np.abs(about_x - 1j * about_z)) / 2
         charts.append(("Rocking couple, the most of a turn", "N·m", per_omega * couple, rocking))
@@ -204,7 +206,7 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
     speed, per_omega = _at_highest_speed(balance)
     angle, system = balance["crank_angle"].values, balance["system"].values.tolist()
     along, across = dataset.order_sum(balance["force"].sel(order=[1.0]).values, angle).swapaxes(0, 1)
-    first, whole = along + 1j * across, balance["curve"].sel(axis="x") + 1j * balance["curve"].sel(axis="y")
+    first, whole = along + 1j * across, balance["curve"].sel(axis="Z") + 1j * balance["curve"].sel(axis="X")
     frame = panels.frame_around(max(float(np.abs(per_omega * curves).max()) for curves in (first, whole.values)))
 
     def diagrams(names: Sequence[str], curves: Complexes) -> list[Polar]:
@@ -221,7 +223,7 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
     rows.append(("all harmonics", diagrams(dataset.COUNTERWEIGHTS, whole.values)))
     rows.append(("shafts, all harmonics", diagrams(dataset.SHAFT_SETS[1:], whole.values)))
     if "moment" in balance:
-        about_z, about_x, _ = 1e-3 * per_omega * dataset.order_sum(balance["moment"].values, angle)
+        about_x, _, about_z = 1e-3 * per_omega * dataset.order_sum(balance["moment"].values, angle)
         moment = about_z + 1j * about_x
         most = float(np.abs(moment).max())
         limit = panels.frame_around(most)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from crankorder.engine.balancing import MOMENT_AXES
-from crankorder.engine.forces import newton, speed_key
+from crankorder.engine.cycle_tables import PARTS
+from crankorder.engine.forces import AxisName, newton, speed_key
 from crankorder.errors import plain_number
 from crankorder.plot.reading import listed
 
@@ -17,13 +17,12 @@ NEARLY_STATIC = 0.01
 """Static unbalance below this share of a crankshaft's largest counterweight is named as balance."""
 NO_FORCE_G_MM, NO_COUPLE_G_MM2 = 1e-6, 1e-3
 """What is smaller is rounding: at 10,000 rpm a millionth of a newton, and of a newton metre."""
-ALIGNED_SHARE = 1e-9
-"""A moment below this share of the largest is not told of in a sentence."""
-CYLINDER = {"x": "along the cylinder", "y": "across the cylinder"}
-FRAME = {"x": "along Z", "y": "along X"}
-"""Words for the two directions, for one cylinder and for several; Z points from the crankshaft to the middle bank."""
-ABOUT = {name: f"about {axis}" for name, axis in MOMENT_AXES.items()}
-COUPLES = {name: ABOUT[name] for name in ("about_y", "about_x")}
+NONE_SHARE = 1e-4
+"""An amplitude below this share of the largest of its table is none in text; the document has its number."""
+CYLINDER: dict[AxisName, str] = {"Z": "along the cylinder", "X": "across the cylinder"}
+SEVERAL: dict[AxisName, str] = {"Z": "along Z", "X": "along X"}
+"""Words for the axes of forces, for one cylinder and for several."""
+COUPLES: dict[AxisName, str] = {"X": "about X", "Z": "about Z"}
 _NO_FORCE = "no force"
 
 
@@ -40,21 +39,17 @@ def balance_sentences(sheet: Part) -> list[str]:
     ``sheet`` is the balance sheet of the engine; forces are named at the highest of its speeds.
     """
     speed_rpm = max(map(float, sheet["force_n"]))
-    parts = {**sheet, "plain": sheet, "pairs": sheet["shafts"]["pairs"], "single_causes": sheet}
+    parts = {**sheet, "plain": sheet, "pairs": sheet["shafts"]["pairs"], "single_causes": sheet, "motion": sheet}
     told = (text for name, of_part in _OF_PARTS.items() if parts[name] for text in of_part(parts[name], speed_rpm))
     return [text[0].upper() + text[1:] for text in told]
 
 
 def _of_plain(sheet: Part, speed_rpm: float) -> Iterator[str]:
-    """Force and moments of the engine without its shafts, and how fast its pistons are."""
-    force = _amounts(sheet["force_g_mm"], speed_rpm, where=CYLINDER if sheet["strategies"] else FRAME)
+    """Force and rocking couples of the engine without its shafts."""
+    force = _amounts(sheet["force_g_mm"], speed_rpm, where=CYLINDER if sheet["strategies"] else SEVERAL)
     shakes = "no force shakes the engine" if force == _NO_FORCE else f"the engine shakes with {force}"
     yield f"{plain_state(sheet)} {shakes}."
-    yield from _of_moments(sheet["moment_g_mm2"], speed_rpm)
-    key, piston = speed_key(speed_rpm), sheet["piston"]
-    mean, fastest = (plain_number(piston[name][key]) for name in ("mean_m_s", "fastest_m_s"))
-    at = f"{piston['fastest_deg']:.4g}° after its dead centre"
-    yield f"At {key} rpm a piston moves at {mean} m/s in the mean and {fastest} m/s at most, at {at}."
+    yield from _of_couples(sheet["moment_g_mm2"], speed_rpm)
 
 
 def _newton(amount: float, speed_rpm: float, unit: str = "N") -> str:
@@ -68,55 +63,98 @@ def _amount(amount_g_mm: float, speed_rpm: float) -> str:
     return f"{size:.5g} g·mm ({_newton(size, speed_rpm)} at {speed_key(speed_rpm)} rpm)"
 
 
-def _amounts(axes: Part, speed_rpm: float, most: int = 2, where: Mapping[str, str] = CYLINDER) -> str:
-    """The first ``most`` orders in each direction, as one phrase."""
+def told_orders(amounts: Mapping[str, float] | None, most: int, largest: float = 0.0) -> list[str]:
+    """The ``most`` largest orders of ``amounts``, ascending, less what is nothing beside them or ``largest``."""
+    least = NONE_SHARE * max(largest, *(amounts or {}).values(), 0.0)
+    sizes = {order: size for order, size in (amounts or {}).items() if size > least}
+    return sorted(sorted(sizes, key=lambda order: -sizes[order])[:most], key=float)
+
+
+def _largest(axes: Mapping[Any, Mapping[str, float] | None], names: Iterable[AxisName]) -> float:
+    return max((size for name in names for size in (axes[name] or {}).values()), default=0.0)
+
+
+def _amounts(axes: Part, speed_rpm: float, most: int = 2, where: Mapping[AxisName, str] = CYLINDER) -> str:
+    """The ``most`` largest orders in each direction, as one phrase with the speed at its end."""
+    largest = _largest(axes, where)
     phrases = [
-        f"{_amount(amount, speed_rpm)} of order {order} {direction}"
+        f"{axes[axis][order]:.5g} g·mm ({_newton(axes[axis][order], speed_rpm)}) of order {order} {direction}"
         for axis, direction in where.items()
-        for order, amount in list((axes[axis] or {}).items())[:most]
+        for order in told_orders(axes[axis], most, largest)
     ]
-    return listed(phrases) or _NO_FORCE
+    return f"{listed(phrases)} at {speed_key(speed_rpm)} rpm" if phrases else _NO_FORCE
 
 
-def _of_moments(moments: Part, speed_rpm: float, *, state: str = "") -> Iterator[str]:
-    """The three largest orders of each couple and of the roll moment; ``state``: words that come first."""
-    largest = max((size for orders in moments.values() for size in (orders or {}).values()), default=0.0)
-    kinds = {axis: f"a rocking couple {about}" for axis, about in COUPLES.items()}
-    kinds["about_crankshaft"] = "a roll moment of the masses about the crankshaft"
-    for axis, kind in kinds.items():
-        shown = {order: size for order, size in (moments[axis] or {}).items() if size > ALIGNED_SHARE * largest}
-        top = sorted(sorted(shown, key=lambda order: -shown[order])[:3], key=float)
-        if top:
-            sizes = listed([f"{_newton(shown[order], speed_rpm, 'N·m')} of order {order}" for order in top])
-            yield f"{state}{kind} remains: {sizes} at {speed_key(speed_rpm)} rpm."
+def _of_couples(moments: Part, speed_rpm: float, *, state: str = "") -> Iterator[str]:
+    """The three largest orders of each rocking couple; ``state``: words that come first."""
+    largest = _largest(moments, COUPLES)
+    for axis, about in COUPLES.items():
+        sizes = moments[axis] or {}
+        orders = [f"{_newton(sizes[k], speed_rpm, 'N·m')} of order {k}" for k in told_orders(sizes, 3, largest)]
+        if orders:
+            yield f"{state}a rocking couple {about} remains: {listed(orders)} at {speed_key(speed_rpm)} rpm."
+
+
+def larger_parts(by_order: Part) -> dict[str, float]:
+    """Amplitude (N·m) of the larger one of gas and masses, by order."""
+    return {order: max(parts["gas_n_m"], parts["inertia_n_m"]) for order, parts in by_order.items()}
+
+
+def _side_by_side(by_order: Part, has_gas: bool, most: int) -> str:
+    """Amplitudes of masses and gas, their sum, and which dominates, of the ``most`` largest orders."""
+    larger, phrases = larger_parts(by_order), list[str]()
+    for order in told_orders(larger, most):
+        parts = by_order[order]
+        masses, gas, both = (plain_number(parts[f"{part}_n_m"]) for part in PARTS)
+        who = "gas dominates" if parts["dominates"] == "gas" else "masses dominate"
+        of_both = f"order {order}: masses {masses}, gas {gas}, together {both} N·m ({who})"
+        phrases.append(of_both if has_gas else f"{masses} N·m of order {order}")
+    return "; ".join(phrases) if has_gas else listed(phrases)
+
+
+def _of_roll(roll: Part, speed_rpm: float) -> Iterator[str]:
+    """Roll moment on the block: masses, gas and both by order, and its mean."""
+    mean, key = roll["mean_n_m"], speed_key(speed_rpm)
+    orders = _side_by_side(roll["by_speed"][key], mean is not None, 3)
+    if orders and mean is None:
+        gas = "the part of the gas, which the file lacks, is not in it"
+        yield f"roll moment of the masses on the block about Y: {orders} at {key} rpm; {gas}."
+    elif orders:
+        carried = f"the mean, {plain_number(mean)} N·m, is what mounts and driveline carry"
+        yield f"roll moment on the block about Y at {key} rpm (amplitudes): {orders}; {carried}."
 
 
 def _of_cycle(cycle: Part, speed_rpm: float) -> Iterator[str]:
-    """What fires when, whether gas or masses turn the crank unevenly, and what the bearings carry."""
+    """What fires when, and whether gas or masses turn the crank unevenly."""
     at = f"at {speed_key(speed_rpm)} rpm"
     firing, turning = cycle["firing"], cycle["turning"][speed_key(speed_rpm)]
-    power_w, swing, orders = turning["power_w"], turning["speed_fluctuation"], turning["by_order"]
-    mean, least, peak = (plain_number(turning[name]) for name in ("mean_n_m", "least_n_m", "peak_n_m"))
+    power_w, swing = turning["power_w"], turning["speed_fluctuation"]
+    swings = turning["peak_n_m"] - turning["least_n_m"]
+    mean, least, peak, both = map(
+        plain_number, (*(turning[f"{name}_n_m"] for name in ("mean", "least", "peak")), swings)
+    )
+    orders = _side_by_side(turning["by_order"], power_w is not None, 2)
+    if orders:
+        yield f"Torque on the crank {at}: {both} N·m peak to peak, from {least} to {peak} N·m; amplitudes: {orders}."
+    if power_w is not None:
+        power = plain_number(power_w / 1e3)
+        yield f"The gas turns the crank with {mean} N·m in the mean, {power} kW {at} without friction."
+    if swing is not None:
+        yield f"Its speed swings by {100 * swing:.3g} % peak to peak within the cycle {at}."
     if firing is not None and len(firing["interval_deg"]) > 1:
         intervals = [f"{plain_number(interval)}°" for interval in firing["interval_deg"]]
         evenly = f"evenly, every {intervals[0]}" if firing["even"] else f"unevenly, at intervals of {listed(intervals)}"
         yield f"It fires {evenly}."
-    if power_w is not None:
-        power = plain_number(power_w / 1e3)
-        yield f"The gas turns the crank with {mean} N·m in the mean, {power} kW {at} without friction."
-    phrases = []
-    largest = sorted(orders, key=lambda order: -max(orders[order]["gas_n_m"], orders[order]["inertia_n_m"]))[:2]
-    for order in sorted(largest, key=float):
-        torque, alike = orders[order], orders[order]["alike_at_rpm"]
-        gas = "" if power_w is None else f"gas {plain_number(torque['gas_n_m'])}, "
-        where = "" if alike is None else f" (alike at {plain_number(alike)} rpm)"
-        phrases.append(f"order {order}: {gas}masses {plain_number(torque['inertia_n_m'])} N·m{where}")
-    if phrases:
-        yield f"The turning moment swings between {least} and {peak} N·m {at}; {'; '.join(phrases)}."
-    if swing is not None:
-        yield f"Its speed swings by {100 * swing:.3g} % within the cycle {at}."
-    if cycle["loads"] is not None:
-        yield f"{at} {_of_loads(cycle['loads'][speed_key(speed_rpm)])}."
+
+
+def _of_motion(sheet: Part, speed_rpm: float) -> Iterator[str]:
+    """How fast pistons are, and what walls, pins and main bearings carry."""
+    key, piston = speed_key(speed_rpm), sheet["piston"]
+    mean, fastest = (plain_number(piston[name][key]) for name in ("mean_m_s", "fastest_m_s"))
+    at = f"{piston['fastest_deg']:.4g}° after its dead centre"
+    yield f"At {key} rpm a piston moves at {mean} m/s in the mean and {fastest} m/s at most, at {at}."
+    if sheet["cycle"] is not None and sheet["cycle"]["loads"] is not None:
+        yield f"At {key} rpm {_of_loads(sheet['cycle']['loads'][key])}."
 
 
 def _of_loads(loads: Part) -> str:
@@ -143,10 +181,10 @@ def _of_strategies(strategies: Part, speed_rpm: float) -> Iterator[str]:
             remains = f"a couple{size} at {speed_key(speed_rpm)} rpm remains"
             yield f"Strategy d {adds} and leaves no force of any order; {remains}."
             continue
-        sizes = {axis: balance[f"residual_{axis}_g_mm"] for axis in "xy"}
-        first = _amounts({axis: {"1": size} if size else None for axis, size in sizes.items()}, speed_rpm)
+        left = {"Z": balance["residual_along_g_mm"], "X": balance["residual_across_g_mm"]}
+        first = _amounts({axis: {"1": size} for axis, size in left.items()}, speed_rpm)
         turns = f", turning {turning.replace('crank', 'the crank')}" if turning.endswith("crank") else ""
-        higher = ", and every higher order along the cylinder" if balance["higher_orders_x_g_mm"] else ""
+        higher = ", and every higher order along the cylinder" if balance["higher_orders_along_g_mm"] else ""
         yield f"Strategy {name} ({_on_crank(balance)}) leaves {first}{turns}{higher}."
 
 
@@ -172,13 +210,24 @@ def layouts_of(sheet: Part) -> dict[str, Part]:
 def _of_shafts(shafts: Part, speed_rpm: float) -> Iterator[str]:
     sets, own = shaft_sets(shafts), shafts["own"]
     for name, layout in sets.items():
+        weights: dict[str, list[int]] = {}
+        for shaft in layout["shafts"]:
+            weights.setdefault(f"{shaft['unbalance_g_mm']:.5g} g·mm", []).append(shaft["speed_ratio"])
+        carried = listed([f"{weight} each at {_speeds(ratios)}" for weight, ratios in weights.items()]) or "none"
         left = _amounts(layout["residual_g_mm"], speed_rpm, most=1)
-        yield f"Shafts of possibility {name} on strategy {layout['strategy']} leave {left} first of all."
+        yield f"possibility {name} of shafts, on strategy {layout['strategy']}: {carried}; leaves {left} first of all."
     if own is not None:
-        left = _amounts(own["residual_g_mm"], speed_rpm, most=4, where=CYLINDER if sets else FRAME)
+        left = _amounts(own["residual_g_mm"], speed_rpm, most=4, where=CYLINDER if sets else SEVERAL)
         orders = " and ".join(map(str, own["orders"]))
         yield f"With its own shafts for order {orders} the engine still shakes with {left}."
-        yield from _of_moments(own["residual_moment_g_mm2"], speed_rpm, state="With them ")
+        yield from _of_couples(own["residual_moment_g_mm2"], speed_rpm, state="With them ")
+
+
+def _speeds(ratios: Sequence[int]) -> str:
+    """Speeds of shafts in words, below 0 against the crank: "±2 times crank speed"."""
+    both = sorted({abs(ratio) for ratio in ratios if -ratio in ratios})
+    every = [f"±{ratio}" for ratio in both] + [f"{ratio:+d}" for ratio in ratios if abs(ratio) not in both]
+    return f"{listed(every).replace('-', '−')} times crank speed"
 
 
 def _of_designs(design: Part, speed_rpm: float) -> Iterator[str]:
@@ -187,11 +236,13 @@ def _of_designs(design: Part, speed_rpm: float) -> Iterator[str]:
         if share is not None:
             yield f"Crank webs can take {plain_number(100 * share)} % of the primary {kind} of the pistons."
     for name, layout in design["layouts"].items():
-        ratios = [f"{shaft['speed_ratio']:+d}".replace("-", "−") for shaft in layout["shafts"]]
-        shafts = listed([f"at {ratio} times crank speed" for ratio in ratios])
-        webs = "with those counterweights " if layout["webs"] else ""
-        those = f"{webs}one shaft {shafts} leaves" if len(ratios) == 1 else f"{webs}shafts {shafts} leave"
-        carriers = "Counterweights on the crank webs alone leave" if name == "webs" else those
+        weights = [weight["unbalance_g_mm"] for shaft in layout["shafts"] for weight in shaft["weights"]]
+        ratios = [shaft["speed_ratio"] for shaft in layout["shafts"]]
+        heavy = f" with up to {max(weights, default=0.0):.5g} g·mm in a plane leave{'s' * (len(ratios) == 1)}"
+        carriers = "with those counterweights " if layout["webs"] else ""
+        carriers += f"{'shafts' if len(ratios) > 1 else 'one shaft'} at {_speeds(ratios)}{heavy}"
+        if name == "webs":
+            carriers = "Counterweights on the crank webs alone leave"
         yield f"{carriers} {_largest_left(layout, speed_rpm)}."
     height = design["roll_height_mm"]
     if height is not None and abs(height) > 1e-9:
@@ -203,7 +254,7 @@ def _of_designs(design: Part, speed_rpm: float) -> Iterator[str]:
 def _largest_left(layout: Part, speed_rpm: float) -> str:
     """The largest force and the largest couple that a design leaves, in words."""
     phrases, nothing = [], [_NO_FORCE, "no rocking couple"]
-    kinds = (("residual_g_mm", "N", FRAME), ("residual_moment_g_mm2", "N·m", COUPLES))
+    kinds = (("residual_g_mm", "N", SEVERAL), ("residual_moment_g_mm2", "N·m", COUPLES))
     for (key, unit, names), none in zip(kinds, nothing, strict=True):
         sizes = [(size, order, names[axis]) for axis in names for order, size in (layout[key][axis] or {}).items()]
         size, order, direction = max(sizes, default=(0.0, "", ""))
@@ -251,11 +302,11 @@ def _of_pairs(pairs: Sequence[Part], speed_rpm: float) -> Iterator[str]:
         if pair["scenarios"] is None:
             continue
         literal, order = pair["scenarios"]["literal"], pair["order"]
-        left, physical = (_amount(reading["residual_x_g_mm"], speed_rpm) for reading in pair["scenarios"].values())
+        left, physical = (_amount(reading["residual_along_g_mm"], speed_rpm) for reading in pair["scenarios"].values())
         if order == 1:
             yield f"The pair of order 1 as printed leaves {left}, less than its rounding can tell."
             continue
-        sense = "too much" if literal["residual_x_g_mm"] < 0 else "too little"
+        sense = "too much" if literal["residual_along_g_mm"] < 0 else "too little"
         makes = f"{literal['overbalance']:.3f} times the force needed, {left} {sense}"
         as_force = f"with that over {order**2} it leaves {physical}"
         yield f"The pair of order {order} with the printed unbalance makes {makes}; {as_force}."
@@ -288,21 +339,21 @@ def single_causes(sheet: Part) -> Iterator[tuple[str, str, str, float, str | Non
     built, rod, added = sheet["shafts"]["second_order_built_for_lambda"], sheet["rod_split"], sheet["added_mass"]
     offset, cranks = sheet["offset"], sheet["reverse_cranks"]
     if built is not None:
-        yield "second-order pair built for λ, not A2", "along", "2", built["residual_x_g_mm"], None
+        yield "second-order pair built for λ, not A2", "along", "2", built["residual_along_g_mm"], None
     if rod is not None:
-        for axis, key in (("along", "residual_x_g_mm"), ("across", "residual_y_g_mm")):
+        for axis, key in (("along", "residual_along_g_mm"), ("across", "residual_across_g_mm")):
             for order, amount in rod[key].items():
                 yield "rod as weighed, balanced as cut", axis, order, amount, None
     if added is not None:
         cause = f"{added['mass_g']:g} g that no shaft knows"
-        for order, amount in list(added["residual_x_g_mm"].items())[:3]:
+        for order, amount in list(added["residual_along_g_mm"].items())[:3]:
             yield cause, "along", order, amount, (added["class"] or "beyond all named") if order == "1" else None
     if offset is not None:
         cause = f"offset of {offset['offset_mm']:g} mm, shafts timed to crank"
-        yield cause, "along", "1", offset["quadrature_x_g_mm"], None
+        yield cause, "along", "1", offset["quadrature_along_g_mm"], None
     if cranks is not None:
         for series, text in (("exact", "exact"), ("leading", "built for λ")):
-            yield f"direct and reverse cranks, {text}", "along", "all", cranks["residual_x_g_mm"][series], None
+            yield f"direct and reverse cranks, {text}", "along", "all", cranks["residual_along_g_mm"][series], None
 
 
 def _of_single_causes(sheet: Part, speed_rpm: float) -> Iterator[str]:
@@ -349,6 +400,7 @@ def hinge_sentences(sheet: Part) -> list[str]:
 
 _OF_PARTS: dict[str, Callable[[Any, float], Iterable[str]]] = {
     "plain": _of_plain,
+    "roll_moment": _of_roll,
     "cycle": _of_cycle,
     "strategies": _of_strategies,
     "shafts": _of_shafts,
@@ -359,5 +411,6 @@ _OF_PARTS: dict[str, Callable[[Any, float], Iterable[str]]] = {
     "single_causes": _of_single_causes,
     "offset": _of_offset,
     "reverse_cranks": _of_reverse_cranks,
+    "motion": _of_motion,
 }
 """Sentences of each part of a sheet, in this sequence."""

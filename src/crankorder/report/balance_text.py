@@ -6,16 +6,28 @@ Tables and paragraphs of plain text for a terminal are aligned, and never wider 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import accumulate, chain
 from typing import Any
 
-from crankorder.engine.forces import newton
+from crankorder.engine.forces import AXES, DIRECTIONS, AxisName, newton
 from crankorder.errors import printable
 from crankorder.plot.reading import number_text
-from crankorder.report.balance_sentences import ABOUT, layouts_of, plain_state, shaft_sets, single_causes
+from crankorder.report.balance_sentences import (
+    NONE_SHARE,
+    larger_parts,
+    layouts_of,
+    plain_state,
+    shaft_sets,
+    single_causes,
+    told_orders,
+)
 
 WIDTH = 100
 """Columns of the widest line."""
+
+SCREEN = 40
+"""Lines of a text without its tables."""
 
 DIGITS = 5
 """Significant digits of a number in a table: what a scale or a drawing can give."""
@@ -24,6 +36,9 @@ MISSING = "–"
 _GAP, _INDENT, _LONGEST_CELL = "  ", "  ", 44
 
 Cell = float | str | None
+Row = Sequence[Cell]
+Part = Mapping[str, Any]
+"""A balance sheet or a part of it."""
 
 
 def paragraph(text: str, *, bullet: str = "") -> list[str]:
@@ -81,20 +96,21 @@ def short_number(value: float, *, digits: int = DIGITS) -> str:
     return text if "." not in text or "e" in text else text.rstrip("0").rstrip(".")
 
 
-def closing(head: str, sentences: Iterable[str], notes: Collection[str]) -> list[str]:
-    """Lines with ``sentences`` under ``head``, then ``notes`` where there are any."""
-    told = [line for sentence in sentences for line in paragraph(sentence, bullet="  * ")]
-    noted = [line for note in notes for line in paragraph(note, bullet="  * ")]
-    return [head, *told, *(["", "Notes", *noted] if noted else [])]
+def page(head: Sequence[str], tables: Sequence[str], title: str, sheet: Part, *, whole: bool) -> str:
+    """Text of a ``sheet``: ``head``, ``tables``, and its sentences and notes under ``title``.
+
+    All of these where ``whole``; where not, as many as one screen holds.
+    """
+    told = [*sheet["sentences"], *(f"Note: {note}" for note in sheet["notes"])]
+    items = [paragraph(text, bullet="  * ") for text in told]
+    fit = sum(whole or end <= SCREEN - len(head) - 4 for end in accumulate(map(len, items)))
+    rest = "Every table" if fit == len(items) else f"{len(items) - fit} more sentences or notes, and every table"
+    more = [] if whole else ["", f"{rest}: --all"]
+    return "\n".join([*head, "", *tables, title, *chain(*items[:fit]), *more]) + "\n"
 
 
-Row = Sequence[Cell]
-Part = Mapping[str, Any]
-"""A balance sheet or a part of it."""
-SHOWN_SHARE = 1e-9
-"""Orders that stay below this share of the largest on every axis are not shown; the document has them."""
-_SHOWN_TORQUE = 1e-3  # of the largest order; the document has the others
 _MOST_ORDERS = 24  # rows of a table by order
+_ABOUT = {"N": "", "N·m": "about "}
 _MASSES = {
     "reciprocating": "reciprocating",
     "rod_at_piston_pin": "… of which rod, at the piston pin",
@@ -118,32 +134,53 @@ def table_of(title: str, columns: str, parts: Iterable[Part], *, kept: int = 1) 
     return text_table(title, heads, [[cell(part, key) for key in keys] for part in parts], kept=kept)
 
 
-def balance_text(sheet: Part) -> str:
-    """Tables and sentences of a balance ``sheet``, no line wider than a terminal's page.
+def told_once(rows: Iterable[Part], *joined: str) -> list[dict[str, Any]]:
+    """``rows`` of a table, those that are alike but for the keys ``joined`` as one row, with all values of these."""
+    alike: dict[tuple[str, ...], dict[str, Any]] = {}
+    for row in rows:
+        kept = alike.setdefault(
+            tuple(_cell_text(row[key]) for key in row if key not in joined), {**row, **{key: {} for key in joined}}
+        )
+        for key in joined:
+            kept[key][_cell_text(row[key])] = None
+    return [{**kept, **{key: ", ".join(kept[key]) for key in joined}} for kept in alike.values()]
 
-    Parts without data are left out.
-    """
-    axes, pairs = _axes_of(sheet), sheet["shafts"]["pairs"] or ()
+
+def balance_text(sheet: Part, *, whole: bool = False) -> str:
+    """Sentences of a balance ``sheet`` on one screen, no line wider than a page; ``whole``: all its tables too."""
+    axes = "; ".join(f"{axis} {sheet['frame'][axis]}" for axis in DIRECTIONS)
+    head = [printable(sheet["engine"], WIDTH), f"Crank ratio λ = {_crank_ratio(sheet['lambda'])}"]
+    head += paragraph(f"Axes: {axes}; {sheet['frame']['rotation']}.")
+    return page(head, _tables(sheet) if whole else (), "What remains unbalanced", sheet, whole=whole)
+
+
+def _tables(sheet: Part) -> list[str]:
+    """Lines of every table of a balance ``sheet``; parts without data are left out."""
+    pairs = sheet["shafts"]["pairs"] or ()
     sets, layouts = shaft_sets(sheet["shafts"]), layouts_of(sheet)
     forces = f"Force by order {plain_state(sheet)}"
     title = f"{forces} (amplitude; g·mm: over ω²; leading: slider alone, first term)"
-    lines = [printable(sheet["engine"], WIDTH), f"Crank ratio λ = {_crank_ratio(sheet['lambda'])}", ""]
-    lines += text_table("Masses", ["", "g"], [(text, sheet["masses_g"][key]) for key, text in _MASSES.items()])
-    lines += _by_speed(sheet, title, "force_g_mm", axes, ("g·mm", "N")) or [f"{forces}: none", ""]
-    title = "Moments by order (Z: cylinders or middle of their banks, Y: crankshaft, X: across both)"
-    lines += _by_speed(sheet, title, "moment_g_mm2", ABOUT, ("g·mm²", "N·m"))
+    lines = text_table("Masses", ["", "g"], [(text, sheet["masses_g"][key]) for key, text in _MASSES.items()])
+    lines += _by_speed(sheet, title, "force_g_mm", AXES, ("g·mm", "N")) or [f"{forces}: none", ""]
+    title = f"Moments of the masses by order {plain_state(sheet)} (amplitude; g·mm²: over ω²)"
+    lines += _by_speed(sheet, title, "moment_g_mm2", DIRECTIONS, ("g·mm²", "N·m"))
+    if sheet["roll_moment"]["mean_n_m"] is not None:
+        lines += _parted("Roll moment on the block about Y", sheet["roll_moment"]["by_speed"], has_gas=True)
     lines += _strategies(sheet)
+    shafts = [
+        {**shaft, "name": name, "strategy": one["strategy"]} for name, one in sets.items() for shaft in one["shafts"]
+    ]
     lines += table_of(
         "Additional shafts (speed < 0: against the crank; heavy side: at top dead centre, from the cylinder)",
         "possibility=name|on strategy=strategy|speed / crank=speed_ratio|g·mm each=unbalance_g_mm"
         "|g at crank radius=mass_at_crank_radius_g|heavy side °=phase_deg",
-        [{**layout, **shaft, "name": name} for name, layout in sets.items() for shaft in layout["shafts"]],
+        told_once(told_once(shafts, "name"), "speed_ratio"),
         kept=2,
     )
     lines += _cycle(sheet["cycle"]) + _designs(sheet)
     own = " (own: the shafts that the engine has)" if "own" in layouts else ""
     if layouts:
-        lines += _remaining(sheet, f"Force that remains with shafts, g·mm{own}", "force_g_mm", axes)
+        lines += _remaining(sheet, f"Force that remains with shafts, g·mm{own}", "force_g_mm", AXES)
     lines += table_of(
         "Shaft pairs from their parts, g·mm",
         "order|one, design=one_shaft_design_g_mm|one, weighed=one_shaft_measured_g_mm|pair, design=pair_design_g_mm"
@@ -155,7 +192,7 @@ def balance_text(sheet: Part) -> str:
     lines += table_of(
         "Printed pair read both ways, g·mm (remains < 0: too much)",
         "order|printed is|unbalance=pair_unbalance_g_mm|force=pair_force_g_mm|force / needed=overbalance"
-        "|remains=residual_x_g_mm|class",
+        "|remains=residual_along_g_mm|class",
         [
             {"order": pair["order"], "printed is": texts[name], **reading}
             for pair in pairs
@@ -163,8 +200,7 @@ def balance_text(sheet: Part) -> str:
         ],
         kept=2,
     )
-    lines += _crankshaft(sheet) + _gears(sheet)
-    return "\n".join([*lines, *closing("What remains unbalanced", sheet["sentences"], sheet["notes"])]) + "\n"
+    return lines + _crankshaft(sheet) + _gears(sheet)
 
 
 def _crank_ratio(ratio: float) -> str:
@@ -174,51 +210,77 @@ def _crank_ratio(ratio: float) -> str:
 
 
 def shown_orders(tables: Iterable[Mapping[str, float] | None]) -> list[str]:
-    """Orders that stand out in any of the ``tables`` (amount by order, or None), ascending; the largest if too many."""
+    """Orders that are more than nothing in the ``tables`` (amount by order, or None), ascending; the largest ones."""
     given = [table for table in tables if table]
     largest = {order: max(abs(table.get(order, 0.0)) for table in given) for table in given for order in table}
-    limit = SHOWN_SHARE * max(largest.values(), default=0.0)
-    kept = sorted((order for order in largest if largest[order] > limit), key=lambda order: -largest[order])
-    return sorted(kept[:_MOST_ORDERS], key=float)
+    return told_orders(largest, _MOST_ORDERS)
 
 
-def _by_speed(sheet: Part, title: str, key: str, axes: Mapping[str, str], units: tuple[str, str]) -> list[str]:
+def or_none(sizes: Iterable[float], most: float) -> list[Cell]:
+    """Amplitudes of a table, "none" where they are nothing beside ``most``, its largest."""
+    return ["none" if size <= NONE_SHARE * most else size for size in sizes]
+
+
+def shown_rows(
+    columns: Mapping[AxisName, Sequence[Mapping[str, float] | None]],
+) -> Iterator[tuple[str, str, list[Cell]]]:
+    """Axis, order and amplitudes of each row of a table: what is nothing beside its largest is "none", or no row."""
+    every = [sizes for tables in columns.values() for table in tables for sizes in (table or {}).values()]
+    most = max(every, default=0.0)
+    for axis, tables in columns.items():
+        for order in shown_orders(tables):
+            sizes = _at(order, tables)
+            if max(sizes) > NONE_SHARE * most:
+                yield axis, order, or_none(sizes, most)
+
+
+def _by_speed(sheet: Part, title: str, key: str, axes: Sequence[AxisName], units: tuple[str, str]) -> list[str]:
     """Amounts by axis and order that stand at ``key``, over ω² and at every speed, beside what the piston is."""
     (over_omega, unit), scale, speeds = units, 1e-3 if units[1] == "N·m" else 1.0, sheet["force_n"]
     heads = ["order", "axis", "A_k", over_omega, f"leading {over_omega}", *(f"{unit} at {key} rpm" for key in speeds)]
     rows: list[Row] = []
-    for axis, name in axes.items():
-        piston, leading = (sheet["harmonics"], sheet["leading_g_mm"] or {}) if axis == "x" else ({}, {})
-        amounts = sheet[key][axis] or {}
-        for order in (order for order in shown_orders(sheet[key].values()) if order in amounts):
-            at_speeds = [scale * newton(amounts[order], float(speed)) for speed in speeds]
-            rows.append([order, name, *(part.get(order) for part in (piston, amounts, leading)), *at_speeds])
+    for axis, order, _ in shown_rows({axis: [sheet[key][axis]] for axis in axes}):
+        along, amount = key == "force_g_mm" and axis == "Z", sheet[key][axis][order]
+        piston, leading = (sheet["harmonics"], sheet["leading_g_mm"] or {}) if along else ({}, {})
+        at_speeds = [scale * newton(amount, float(speed)) for speed in speeds]
+        rows.append([order, f"{_ABOUT[unit]}{axis}", piston.get(order), amount, leading.get(order), *at_speeds])
     return text_table(title, heads, rows, kept=2)
 
 
-def _axes_of(sheet: Part) -> dict[str, str]:
-    """Keys of the two axes and what they are called: one cylinder has a direction of its own, several have Z and X."""
-    return {"x": "along", "y": "across"} if sheet["strategies"] is not None else {"x": "Z", "y": "X"}
+def _parted(title: str, by_speed: Part, has_gas: bool) -> list[str]:
+    """Parts of a moment by order at every speed, and which of them dominates."""
+    rows = [
+        {"rpm": speed, "order": order, **by_order[order]}
+        for speed, by_order in by_speed.items()
+        for order in shown_orders([larger_parts(by_order)])
+    ]
+    of_gas = "|gas N·m=gas_n_m|together N·m=sum_n_m|phase °=sum_phase_deg|larger=dominates|alike at rpm=alike_at_rpm"
+    columns = f"rpm|order|masses N·m=inertia_n_m{of_gas * has_gas}"
+    return table_of(f"{title} by order (amplitude)", columns, rows, kept=2)
 
 
 def _strategies(sheet: Part) -> list[str]:
     if sheet["strategies"] is None:
         return []
-    along, across = (sheet["force_g_mm"][axis] or {} for axis in "xy")
-    plain = {"residual_x_g_mm": along.get("1", 0.0), "residual_y_g_mm": across.get("1", 0.0)}
+    along, across = (sheet["force_g_mm"][axis] or {} for axis in AXES)
+    plain = {"residual_along_g_mm": along.get("1", 0.0), "residual_across_g_mm": across.get("1", 0.0)}
     kept = {name: strategy for name, strategy in sheet["strategies"].items() if strategy is not None}
     columns, speed = [plain, *kept.values()], max(sheet["force_n"], key=float)
     higher = [{order: along[order] for order in along if order != "1"}]
-    higher += [strategy["higher_orders_x_g_mm"] or {} for strategy in kept.values()]
+    higher += [strategy["higher_orders_along_g_mm"] or {} for strategy in kept.values()]
 
-    def row(text: str, key: str, scale: float | None = None) -> list[Cell]:
-        sizes = [column.get(key) for column in columns]
-        if scale is None:
-            return [text, *sizes]
-        at_speed = (None if size is None else scale * newton(size, float(speed)) for size in sizes)
-        return [f"{text} at {speed} rpm", *at_speed]
+    most = max(plain.values())
 
-    by_order: list[Row] = [[f"order {order} along, g·mm", *_at(order, higher)] for order in shown_orders(higher)[:4]]
+    def row(text: str, key: str) -> list[Cell]:
+        return [text, *(column.get(key) for column in columns)]
+
+    def left(text: str, sizes: Sequence[float], unit: str = "g·mm") -> list[Cell]:
+        over = 1.0 if unit == "g·mm" else newton(1.0, float(speed))
+        return [f"{text}, {unit}", *or_none([over * size for size in sizes], over * most)]
+
+    first = {name: [column[f"residual_{name}_g_mm"] for column in columns] for name in ("along", "across")}
+    couples = [column.get("couple_g_mm2") for column in columns]
+    at_speed = [None if couple is None else 1e-3 * newton(couple, float(speed)) for couple in couples]
     turned = row("… on from opposite to the pin, °", "counterweight_deg")
     turns = {"line": "to and fro", "none": "no force"}
     rows: list[Row] = [
@@ -226,47 +288,42 @@ def _strategies(sheet: Part) -> list[str]:
         *([turned] if any(turned[1:]) else []),
         row("counterweight on the rod, g", "rod_counterweight_g"),
         row("counterweights in all, g", "total_g"),
-        row("order 1 along, g·mm", "residual_x_g_mm"),
-        row("order 1 across, g·mm", "residual_y_g_mm"),
-        row("order 1 along, N", "residual_x_g_mm", 1.0),
-        row("order 1 across, N", "residual_y_g_mm", 1.0),
-        *by_order,
-        row("couple at most, N·m", "couple_g_mm2", 1e-3),
+        *(left(f"order 1 {name}", sizes) for name, sizes in first.items()),
+        *(left(f"order 1 {name}", sizes, f"N at {speed} rpm") for name, sizes in first.items()),
+        *(left(f"order {order} along", _at(order, higher)) for order in shown_orders([{"1": most}, *higher])[1:5]),
+        [f"couple at most, N·m at {speed} rpm", *at_speed],
         ["order 1 turns", None, *(turns.get(strategy["rotation"], strategy["rotation"]) for strategy in kept.values())],
     ]
     return text_table("Strategies side by side", ["", "none", *kept], rows)
 
 
-def _at(order: str, amounts: Sequence[Mapping[str, float]]) -> list[float]:
-    return [by_order.get(order, 0.0) for by_order in amounts]
+def _at(order: str, amounts: Sequence[Mapping[str, float] | None]) -> list[float]:
+    return [(by_order or {}).get(order, 0.0) for by_order in amounts]
 
 
 def _cycle(cycle: Part | None) -> list[str]:
     """Gas and inertia torque on the crank by order at every speed; loads of walls, pins and bearings at the highest."""
     if cycle is None:
         return []
-    torques: list[Part] = []
-    for speed, turning in cycle["turning"].items():
-        larger = {order: max(row["gas_n_m"], row["inertia_n_m"]) for order, row in turning["by_order"].items()}
-        shown = [order for order in larger if larger[order] > _SHOWN_TORQUE * max(larger.values())]
-        torques += [{"rpm": speed, "order": order, **turning["by_order"][order]} for order in shown]
-    title, columns = "Torque of the masses on the crank", "rpm|order|N·m=inertia_n_m"
-    if cycle["gas"] is not None:
-        title = "Torque of gas and masses on the crank by order"
-        columns = "rpm|order|gas N·m=gas_n_m|masses N·m=inertia_n_m|larger=dominates|alike at rpm=alike_at_rpm"
-    lines = table_of(title, columns, torques, kept=1 + (cycle["gas"] is not None))
+    turning = {speed: row["by_order"] for speed, row in cycle["turning"].items()}
+    lines = _parted("Torque on the crank", turning, cycle["gas"] is not None)
     if cycle["loads"] is None:
         return lines
     speed = max(cycle["loads"], key=float)
     loads = cycle["loads"][speed]
-    carried = [
-        {"name": f"cylinder {cylinder['cylinder']}, {text}", **cylinder[text.replace(" ", "_")]}
-        for cylinder in loads["cylinders"]
-        for text in ("wall", "piston pin", "crank pin")
-    ]
+    carried = told_once(
+        (
+            {"on": text, "of": str(cylinder["cylinder"]), **cylinder[text.replace(" ", "_")]}
+            for text in ("wall", "piston pin", "crank pin")
+            for cylinder in loads["cylinders"]
+        ),
+        "of",
+        "peak_deg",
+    )
     for bearing in loads["main_bearings"] or ():
-        carried.append({"name": f"main bearing at {short_number(bearing['position_mm'])} mm", **bearing})
-    return lines + table_of(f"Loads at {speed} rpm", "=name|peak N=peak_n|at crank °=peak_deg|mean N=mean_n", carried)
+        carried.append({**bearing, "on": "main bearing", "of": f"at {short_number(bearing['position_mm'])} mm"})
+    columns = "on|of cylinder=of|peak N=peak_n|mean N=mean_n|peak at crank °=peak_deg"
+    return lines + table_of(f"Loads at {speed} rpm", columns, carried, kept=2)
 
 
 def _designs(sheet: Part) -> list[str]:
@@ -288,17 +345,15 @@ def _designs(sheet: Part) -> list[str]:
     title = "Or a counterweight at each throw, for all of order 1 that turns with the crank"
     columns = "cylinder|g·mm=unbalance_g_mm|heavy side °=angle_deg|at mm=position_mm"
     lines += table_of(title, columns, [throw for throw in throws if throw["unbalance_g_mm"] > 0])
-    return lines + _remaining(sheet, "Moments that remain, g·mm²", "moment_g_mm2", ABOUT)
+    return lines + _remaining(sheet, "Moments of the masses that remain, g·mm²", "moment_g_mm2", DIRECTIONS)
 
 
-def _remaining(sheet: Part, title: str, key: str, axes: Mapping[str, str]) -> list[str]:
+def _remaining(sheet: Part, title: str, key: str, axes: Sequence[AxisName]) -> list[str]:
     """A row for each axis and order with the amounts at ``key`` that the plain engine and each layout leave."""
-    remains = f"residual_{key.removeprefix('force_')}"
+    remains, about = f"residual_{key.removeprefix('force_')}", _ABOUT["N" if key == "force_g_mm" else "N·m"]
     left = {"none": sheet[key], **{name: layout[remains] for name, layout in layouts_of(sheet).items()}}
-    rows: list[Row] = []
-    for axis, text in axes.items():
-        amounts = [by_axis[axis] or {} for by_axis in left.values()]
-        rows += [[order, text, *_at(order, amounts)] for order in shown_orders(amounts)]
+    columns = {axis: [by_axis[axis] for by_axis in left.values()] for axis in axes}
+    rows: list[Row] = [[order, f"{about}{axis}", *sizes] for axis, order, sizes in shown_rows(columns)]
     return text_table(title, ["order", "axis", *left], rows, kept=2)
 
 
@@ -371,13 +426,15 @@ def _gears(sheet: Part) -> list[str]:
     return lines + text_table(title, ["", "order", "median", "95 % below"], rows, kept=2)
 
 
-def hinge_text(sheet: Part) -> str:
-    """Tables and sentences of a hinge ``sheet``, no line wider than a terminal's page.
+def hinge_text(sheet: Part, *, whole: bool = False) -> str:
+    """Sentences of a hinge ``sheet`` on one screen, no line wider than a page; ``whole``: all its tables too."""
+    tables = _hinge_tables(sheet) if whole else ()
+    return page([printable(sheet["engine"], WIDTH)], tables, "What remains", sheet, whole=whole)
 
-    Solutions that do not exist are left out.
-    """
-    torque, mechanisms = sheet["torque"], sheet["mechanisms"]
-    lines = [printable(sheet["engine"], WIDTH), ""]
+
+def _hinge_tables(sheet: Part) -> list[str]:
+    """Lines of every table of a hinge ``sheet``; solutions that do not exist are left out."""
+    torque, mechanisms, lines = sheet["torque"], sheet["mechanisms"], list[str]()
     rows: list[Row] = [("mean, N·m", torque["mean_nm"]), ("work per revolution, J", torque["work_per_rev_j"])]
     lines += text_table("Crank torque", ["", ""], rows)
     lines += table_of(
@@ -430,8 +487,7 @@ def hinge_text(sheet: Part) -> str:
         if guides is not None
     ]  # fmt: skip
     heads = ["hinge", "rpm", "spring N/mm", "shortest mm", "longest mm", "steepest °", "can be cut"]
-    lines += text_table("Springs and guides of the hinges", heads, rows)
-    return "\n".join([*lines, *closing("What remains", sheet["sentences"], sheet["notes"])]) + "\n"
+    return lines + text_table("Springs and guides of the hinges", heads, rows)
 
 
 def _solutions(mechanisms: Sequence[Part]) -> list[str]:

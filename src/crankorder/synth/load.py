@@ -312,8 +312,6 @@ OF_QUICK = {"sampling", "speeds", "speed_profile", "repeats"}
 """Keys of a scene of which a table [quick] states less."""
 MAX_DEPTH = 4
 """Scenes that may be based on one another in a row."""
-LEAST, MOST = 1e-30, 1e12
-"""Size of a number other than 0: beyond these nothing is physical, and products leave the range of the numbers."""
 
 
 def load_scene(name: str, beside: Path | None = None) -> Scene:
@@ -329,8 +327,6 @@ def load_scene(name: str, beside: Path | None = None) -> Scene:
     """
     faults: list[CrankorderError] = []
     table, source = _whole_table(name, beside, faults)
-    if extremes := list(_extremes(table, source)):
-        raise ManyErrors([*faults, *extremes])
     if "engine_file" in table:
         faults.append(RequestError("unknown key", file=source, place="engine_file", remedy="Name the engine as engine"))
     table["engine_file"] = table.get("engine", "")
@@ -392,16 +388,3 @@ def _whole_table(
     if table.keys() & OF_QUICK:
         left_out = [*left_out, "quick"]  # its differences are from what this scene no longer has
     return {key: value for key, value in base.items() if key not in left_out} | table, source
-
-
-def _extremes(value: Any, source: str, place: str = "") -> Iterator[RequestError]:
-    """A fault for each number in ``value`` that is too large or too small for any scene."""
-    if isinstance(value, dict | list):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, inner in items:
-            yield from _extremes(inner, source, f"{place}.{key}".lstrip("."))
-        return
-    number = isinstance(value, int) or (isinstance(value, float) and math.isfinite(value))
-    if number and value and not LEAST <= abs(value) <= MOST and place != "seed":
-        allowed = f"0, or {LEAST:g} … {MOST:g} either way"
-        yield RequestError("out of all proportion", file=source, place=place, found=value, allowed=allowed)
