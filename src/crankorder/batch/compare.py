@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from crankorder.plot.drawing import Drawing
 
 NAME = "comparison.json"
-MAPS = ("order_map", "envelope_map", "shaft")
+MAPS = ("order_map", "order_tracks", "envelope_map", "shaft")
 
 
 class ComparedResults(NamedTuple):
