@@ -226,3 +226,29 @@ class Comparison(Record):
     balance_reason: str = said("why neither test closed its balance; empty where one did")
     trend: tuple[Trend, ...] = said("lines over the runs: bearing lines of two or more, orders of three or more")
     confounds: tuple[Confound, ...] = said("what else than the machine differs")
+
+    @property
+    def comparable(self) -> bool:
+        """Whether the tests have anything in common that could be compared."""
+        return self.cause.cause != "not comparable"
+
+
+class BuildComparison(Record):
+    """What differs between two builds, each of several tests."""
+
+    schema_version: int = said("version of this schema", least=1)
+    base: str = said("name of the folder of the first build")
+    new: str = said("name of the folder of the second build")
+    headline: tuple[str, ...] = said("what changed over all tests, in sentences")
+    tests: tuple[Comparison, ...] = said("comparison of each test of the first build with its partner in the second")
+    alone: tuple[str, ...] = said("tests without a partner, which were not compared, with the folder of their build")
+
+    @property
+    def comparable(self) -> bool:
+        """Whether any two tests have anything in common that could be compared."""
+        return any(test.comparable for test in self.tests)
+
+    @property
+    def confounds(self) -> tuple[Confound, ...]:
+        """What else than the machine differs in any two tests, each once."""
+        return tuple(dict.fromkeys(confound for test in self.tests for confound in test.confounds))

@@ -126,7 +126,9 @@ def on_a_mode(rng, hz, unbalance=1.0):
     phases, sizes = np.exp(2j * np.pi * rng.random(3)), 0.4 + 0.4 * rng.random(3)
 
     def response(order, k):
-        ratio = lambda rpm: order * rpm / 60 / hz
+        def ratio(rpm):
+            return order * rpm / 60 / hz
+
         size = sizes[k] * phases[k] * (unbalance if order == 1.0 else 1.0)
         return lambda rpm: size * (rpm / 1000) ** 2 / (1 - ratio(rpm) ** 2 + 0.04j * ratio(rpm))
 

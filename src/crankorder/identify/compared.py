@@ -6,7 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
@@ -39,14 +39,13 @@ from crankorder.identify.mass_change import balance_changes, trial_mass, unbalan
 from crankorder.identify.order_changes import NUMBERS as ORDER_CHANGES
 from crankorder.identify.order_changes import (
     TO_DB,
+    Line,
     OrderChange,
     Tested,
-    beyond_shifts,
     like_speeds,
     order_changes,
     order_maps,
     run_trends,
-    together,
 )
 from crankorder.orders.fixed_lines import lines_of_findings
 from crankorder.orders.intervals import claimed, error_of, interval
@@ -123,6 +122,24 @@ def _with_claims(records: Sequence[R], *, q: float) -> list[R]:
     return [replace(record, changed=bool(claim)) for record, claim in zip(records, claims, strict=True)]
 
 
+def _beyond_shifts(change: OrderChange, shifts_hz: Sequence[tuple[float, float]]) -> OrderChange:
+    """What of ``change`` is left beyond what modes that moved, each from and to ``shifts_hz``, may make of an order.
+
+    As f0 becomes f1, the response of a mode at f changes by |f1² - f0²| / |f1² - f²| of it where its stiffness changed,
+    by (f / f0)² times that where its mass did. Other modes dilute that, but near zeros of the whole response.
+    """
+    hertz, base = change.order * change.base_rpm / 60.0, change.base
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = [
+            np.maximum(1.0, np.square(hertz / was)) * abs(to**2 - was**2) / np.abs(to**2 - hertz**2)
+            for was, to in shifts_hz
+        ]
+        most = np.nan_to_num(np.sum(moved, axis=0), nan=np.inf) * base.amplitude
+        part = np.fmin(1.0, most / np.abs(change.vector_change))
+    amplitude = base.amplitude + np.clip(change.difference, -most, most)
+    return replace(change, base=replace(base, amplitude=amplitude, vector=base.vector + part * change.vector_change))
+
+
 def _by_modes(
     changes: Sequence[OrderChange], modes: Sequence[ModeShift], *, q: float
 ) -> tuple[tuple[float, ...], Sequence[bool]]:
@@ -131,15 +148,27 @@ def _by_modes(
     shifts = [(mode.frequency_hz, mode.frequency_hz + max(ends, key=abs)) for mode, ends in moved]
     if not (shifts and changes):
         return (), [False] * len(changes)
-    left = claimed(np.array([beyond_shifts(change, shifts).p_all for change in changes]), q=q)
+    left = claimed(np.array([_beyond_shifts(change, shifts).p_all for change in changes]), q=q)
     of_modes = [bool(change.changed and not more) for change, more in zip(changes, left, strict=True)]
     return tuple(mode.frequency_hz for mode, _ in moved), of_modes
+
+
+def _together(changes: Sequence[OrderChange]) -> OrderChange:
+    """The ``changes`` as one over all their orders and speeds, whose mean ratio is one factor of all."""
+
+    def joined(lines: Sequence[Line]) -> Line:
+        values = ([np.broadcast_to(getattr(line, field.name), line.error.shape) for line in lines]
+                  for field in fields(Line))  # fmt: skip
+        return Line(*map(np.concatenate, values))
+
+    rpm = np.concatenate([change.base_rpm for change in changes])
+    return OrderChange(rpm, rpm, joined([change.base for change in changes]), joined([c.new for c in changes]))
 
 
 def _gains(changes: Sequence[OrderChange]) -> dict[str, Any]:
     """Keys of ChannelCompared of the one channel whose orders all changed by one factor, by its name; else none."""
     channels = list(dict.fromkeys(change.channel for change in changes))
-    means = {name: together([change for change in changes if change.channel == name]).mean for name in channels}
+    means = {name: _together([change for change in changes if change.channel == name]).mean for name in channels}
     lone = [name for name, mean in means.items() if not mean.p_value >= MASS_CHANGE.fit_chance]
     if len(lone) != 1 or len(channels) < 2 or any(change.phase_only for change in changes):
         return {}

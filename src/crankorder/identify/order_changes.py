@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -74,7 +74,8 @@ class Tested:
                     ("speed", EXACT * np.nanmax(np.append(order_map["speed"], 1.0))),
                 )
             )
-            inside, beside = np.ix_(range(len(hidden)), rows[0], bins[0]), np.ix_(range(len(hidden)), bins[1], rows[1])
+            every = np.arange(len(hidden))
+            inside, beside = np.ix_(every, rows[0], bins[0]), np.ix_(every, bins[1], rows[1])
             own = held["coherent_amplitude_high"][inside] - held["coherent_amplitude_low"][inside]
             for name, field in zip(ON_BIN_NAMES, OrderRows._fields, strict=True):
                 held[name][inside] = tracks[field].values[beside].transpose(0, 2, 1)
@@ -251,38 +252,6 @@ class OrderChange:
     def p_all(self) -> float:
         """Chance of so large a difference at all speeds together where nothing changed."""
         return float(np.nanmin([1.0, 2.0 * self.mean.p_value, 2.0 * simes(self.p_value)]))
-
-
-def together(changes: Sequence[OrderChange]) -> OrderChange:
-    """The ``changes`` as one over all their orders, channels and speeds, whose mean ratio is one factor of all."""
-    joined: list[dict[str, Any]] = [
-        {
-            field.name: np.concatenate([np.broadcast_to(getattr(line, field.name), line.error.shape) for line in lines])
-            for field in fields(Line)
-        }
-        for lines in ([change.base for change in changes], [change.new for change in changes])
-    ]
-    rpm = (np.concatenate([getattr(change, name) for change in changes]) for name in ("base_rpm", "new_rpm"))
-    return OrderChange(*rpm, *(Line(**of) for of in joined))
-
-
-def beyond_shifts(change: OrderChange, shifts_hz: Sequence[tuple[float, float]]) -> OrderChange:
-    """What of ``change`` is left beyond what modes that moved, each from and to ``shifts_hz``, may make of an order.
-
-    As f0 becomes f1, the response of a mode at f changes by |f1² - f0²| / |f1² - f²| of it where its stiffness changed,
-    by (f / f0)² times that where its mass did. Other modes dilute that, but near zeros of the whole response.
-    """
-    hertz = change.order * change.base_rpm / 60.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moved = [
-            np.maximum(1.0, np.square(hertz / was)) * abs(to**2 - was**2) / np.abs(to**2 - hertz**2)
-            for was, to in shifts_hz
-        ]
-        most = np.nan_to_num(np.sum(moved, axis=0), nan=np.inf) * change.base.amplitude
-        part = np.fmin(1.0, most / np.abs(change.vector_change))
-    amplitude = change.base.amplitude + np.clip(change.difference, -most, most)
-    vector = change.base.vector + part * change.vector_change
-    return replace(change, base=replace(change.base, amplitude=amplitude, vector=vector))
 
 
 def like_speeds(base_rpm: Floats, new_rpm: Floats, *, within_rpm: float) -> tuple[Ints, Ints]:

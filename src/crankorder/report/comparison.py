@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -19,6 +19,7 @@ from crankorder.comparison import (
     Trend,
     UnbalanceRecord,
 )
+from crankorder.identify.compared import NUMBERS as MODE_SHIFTS
 from crankorder.identify.mass_change import NUMBERS as MASS_CHANGE
 from crankorder.identify.order_changes import TREND_NUMBERS as TREND
 from crankorder.plot.reading import (
@@ -88,13 +89,57 @@ def _headline(comparison: Comparison) -> list[str]:
         sentences.append(f"Not compared: {listed(shown)}; the confounds say why.")
     return list(dict.fromkeys([
         *sentences, *_mass_sentences(comparison), *_growth_sentences(comparison)[:1], *_undecided_sentences(comparison),
+        *_kept_sentences(comparison),
     ]))  # fmt: skip
+
+
+def builds_headline(tests: Mapping[str, Comparison], alone: Sequence[str]) -> list[str]:
+    """The conclusion over ``tests``, by name, of two builds: each thing that changed once, and where it was seen.
+
+    ``alone`` are the names of tests without a partner.
+    """
+    seen = dict[str, list[tuple[float, str, str]]]()
+    of_modes = sorted(
+        ((mode, name) for name, test in tests.items() for mode in test.modes if mode.changed),
+        key=lambda pair: pair[0].frequency_hz,
+    )
+    last, key = 0.0, ""
+    for mode, name in of_modes:
+        if mode.frequency_hz > (1.0 + MODE_SHIFTS.least_reach) * last:  # else the same as the one before
+            key = f"mode {mode.frequency_hz}"
+        last = mode.frequency_hz
+        low, high = known(mode.shift_hz_ci95) or (-math.inf, math.inf)
+        seen.setdefault(key, []).append((high - low, name, _mode_sentence(mode)))
+    for name, test in tests.items():
+        cause = test.cause.besides or test.cause.cause
+        if cause not in ("natural frequencies", "nothing changed", "not comparable"):
+            kind = cause if cause in ("gain", "growing line") else "orders"
+            best = _best_unbalance(test) if cause == "unbalance" else None
+            width = best.factor_ci95[1] - best.factor_ci95[0] if best else 1e3 / max(len(test.speeds), 1)
+            seen.setdefault(kind, []).append((width, name, _cause_sentence(test, cause)))
+    sentences = []
+    for claims in seen.values():
+        names = list(dict.fromkeys(name for _, name, _ in claims))
+        where = f"in all {len(tests)} tests" if len(names) == len(tests) > 1 else listed(names, most=_MANY)
+        sentences.append(f"{min(claims)[2].rstrip('.')} ({where}).")
+    whole = [name for name, test in tests.items() if test.comparable]
+    if whole and not seen:
+        count = f"any of the {len(whole)} tests" if len(whole) > 1 else f"the test {short(whole[0])}"
+        sentences.append(f"Nothing that was compared changed in {count} by more than chance alone would change it.")
+    if refused := [name for name in tests if name not in whole]:
+        sentences.append(f"Not comparable: {listed(refused, most=_MANY)}.")
+    if alone:
+        sentences.append(f"Without a partner, and not compared: {listed(list(alone), most=_MANY)}.")
+    return sentences
 
 
 def comparison_story(comparison: Comparison) -> Story:
     """What changed, why, how sure and what to do, from a ``comparison``; the cause itself stands in the headline."""
     return Story(
-        what=[*_order_sentences(comparison), *_mode_sentences(comparison), *_growth_sentences(comparison)],
+        what=[
+            *_mode_sentences(comparison), *_order_sentences(comparison), *_growth_sentences(comparison),
+            *_kept_sentences(comparison),
+        ],
         why=[
             *_cause_sentences(comparison), *_law_sentences(comparison), *_mass_sentences(comparison),
             *_balance_sentences(comparison),
@@ -136,6 +181,20 @@ def _undecided_sentences(comparison: Comparison) -> list[str]:
         places = listed([f"{rpm:.0f}" for rpm in sorted(speeds)], most=_FEW)
         by_name.setdefault(short(name), []).append(f"order {order_text(order)} at {places} rpm")
     return [f"Not decided ({name}): {listed(texts, most=_MANY)}." for name, texts in by_name.items()]
+
+
+def _kept_sentences(comparison: Comparison) -> list[str]:
+    """What was compared and did not change, beside something that did."""
+    changed = {record.order for record in comparison.orders if record.changed}
+    orders = sorted({record.order for record in comparison.orders} - changed)
+    modes = [mode for mode in comparison.modes if mode.only_in is None]
+    kept = [mode.frequency_hz for mode in modes if not mode.changed]
+    if not changed and len(kept) == len(modes):
+        return []
+    shown = f"{len(orders)} orders" if len(orders) > _MANY else _orders_text(orders) if orders else ""
+    others = "1 natural frequency" if len(kept) == 1 else f"{len(kept)} natural frequencies" if kept else ""
+    texts = [text for text in (shown, others) if text]
+    return [f"No change beyond chance: {listed(texts)}."] if texts else []
 
 
 def _cause_sentence(comparison: Comparison, cause: Cause) -> str:
@@ -248,7 +307,7 @@ def _became(unbalance: UnbalanceRecord) -> str:
     (low, high), ends = unbalance.factor_ci95, known(unbalance.turned_deg_ci95)
     verb = "fell to" if high < 1 else "rose to" if low > 1 else "kept its size but turned:"
     turned = f", turned by {estimate_text(unbalance, 'turned_deg')}°" if ends and not ends[0] <= 0 <= ends[1] else ""
-    return f"{verb} {estimate_text(unbalance, 'factor')} of what it was{turned}"
+    return f"{verb} {estimate_text(unbalance, 'factor')} times what it was{turned}"
 
 
 def _order_sentences(comparison: Comparison) -> list[str]:
@@ -381,7 +440,7 @@ def _how_sure(comparison: Comparison) -> list[str]:
             what = f"{_capital(confound.what)} {short(confound.channel)}".strip()
             values = f"{short(confound.base)} / {short(confound.new)}"
             sentences.append(f"{what} ({values}): {weight}. {_capital(confound.words)}.")
-    return sentences[: _MANY + 2]
+    return [sentences[0], *_undecided_sentences(comparison), *sentences[1 : _MANY + 2]]
 
 
 def _capital(text: str) -> str:
