@@ -100,9 +100,11 @@ class OrderChangeRecord(Record):
         "natural frequencies whose shift may be all of the change that is claimed", default=()
     )
     undecided_rpm: tuple[float, ...] = said(
-        "speeds at which lines of one frequency, such as mains, may hide a change; none is claimed there", default=()
+        "speeds at which lines beside it, such as mains, may hide a change; none is claimed there", default=()
     )
-    hidden_by: str | None = said("what these lines are, as the findings say", default=None)
+    hidden_by: str | None = said(
+        "what lines of one frequency these are, as the findings say; null for other lines", default=None
+    )
 
 
 class ModeShift(Record):

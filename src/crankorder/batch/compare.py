@@ -20,7 +20,7 @@ from crankorder.identify.order_changes import Tested
 from crankorder.records import known
 from crankorder.report.comparison import builds_headline, with_sentences
 from crankorder.report.netcdf import read_results
-from crankorder.settings import ReportSettings, load_settings
+from crankorder.settings import MethodNumbers, ReportSettings, load_settings
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from crankorder.plot.drawing import Drawing
 
 NAME, BUILDS = "comparison.json", "builds.json"
-LEAST_LIKE = 0.5
-"""Share of speeds and recordings that tests of two names have in common to be partners."""
+NUMBERS = MethodNumbers("5-identify-changes.toml", "partners")
 
 MAPS = ("order_map", "order_tracks", "envelope_map", "shaft")
 
@@ -159,7 +158,7 @@ def partners(base: Sequence[KindOfTest], new: Sequence[KindOfTest]) -> list[tupl
     likest = sorted(product(range(len(base)), range(len(new))), key=lambda at: -likeness(base[at[0]], new[at[1]]))
     taken: dict[int, int] = {}
     for at, to in likest:
-        if likeness(base[at], new[to]) >= LEAST_LIKE and at not in taken and to not in taken.values():
+        if likeness(base[at], new[to]) >= NUMBERS.least_like and at not in taken and to not in taken.values():
             taken[at] = to
     return sorted(taken.items())
 

@@ -49,7 +49,8 @@ from crankorder.identify.order_changes import (
 )
 from crankorder.orders.fixed_lines import lines_of_findings
 from crankorder.orders.intervals import claimed, error_of, interval
-from crankorder.quantities import Floats, is_cylinder_pressure
+from crankorder.orders.track_rows import REACH_BINS
+from crankorder.quantities import is_cylinder_pressure
 from crankorder.records import finite, known
 from crankorder.settings import MethodNumbers
 
@@ -217,7 +218,6 @@ def _explained(change: OrderChange, base: Tested, new: Tested) -> str | None:
 
 def _order_record(change: OrderChange, base: Tested, new: Tested) -> OrderChangeRecord:
     best = int(np.nanargmax(np.abs(change.difference) / np.maximum(change.base.error + change.new.error, 1e-300)))
-    undecided = change.base_rpm[change.undecided_at]
     ratio_db, low_db, high_db = (finite(decibels) for decibels in (change.mean.ratio_db, *change.mean.ci95_db))
     ratio, low, high = (finite(np.exp(decibels / TO_DB)) for decibels in (change.mean.ratio_db, *change.mean.ci95_db))
     return OrderChangeRecord(
@@ -230,15 +230,17 @@ def _order_record(change: OrderChange, base: Tested, new: Tested) -> OrderChange
         new_amplitude=float(change.new.amplitude[best]), difference=float(change.difference[best]),
         difference_ci95=(float(change.difference_ci95[best, 0]), float(change.difference_ci95[best, 1])),
         n_speeds=len(change.base_rpm), n_changed=int(np.count_nonzero(change.changed_at)),
-        undecided_rpm=tuple(undecided.tolist()), hidden_by=_hidden_by(change.order * undecided / 60.0, base, new),
+        undecided_rpm=tuple(change.base_rpm[change.undecided_at].tolist()), hidden_by=_hidden_by(change, base, new),
     )  # fmt: skip
 
 
-def _hidden_by(hertz: Floats, base: Tested, new: Tested) -> str | None:
-    """Name of the lines of one frequency that stand nearest to ``hertz`` (places,) in either test; None of no place."""
+def _hidden_by(change: OrderChange, base: Tested, new: Tested) -> str | None:
+    """Names of the lines of one frequency that the order of ``change`` meets where it is undecided; None for none."""
+    places = change.base_rpm[change.undecided_at] / 60.0
+    reach = REACH_BINS * float(np.diff(base.maps["order_map"]["order"].values[:2])[0])
     lines = [line for test in (base, new) for line in lines_of_findings(test.findings)]
-    near = (min(lines, key=lambda line: abs(line.frequency_hz - place)).name for place in hertz.tolist() if lines)
-    return " and ".join(dict.fromkeys(near)) or None
+    met = (line.name for line in lines if np.any(np.abs(line.frequency_hz / places - change.order) <= reach))
+    return " and ".join(dict.fromkeys(met)) or None
 
 
 def _mode_shifts(base: Findings, new: Findings) -> list[ModeShift]:

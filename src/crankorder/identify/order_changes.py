@@ -80,7 +80,7 @@ class Tested:
             for name, field in zip(ON_BIN_NAMES, OrderRows._fields, strict=True):
                 held[name][inside] = tracks[field].values[beside].transpose(0, 2, 1)
             width = held["coherent_amplitude_high"][inside] - held["coherent_amplitude_low"][inside]
-            hidden[inside] = width > 2.0 * own
+            hidden[inside] = width > 2.0 * own  # what they may add is more than the half width of noise
             unknown = hidden[inside] & (held["phase_ci95"][inside] >= UNKNOWN_DEG)
             held["phase"][inside] = np.where(unknown, np.nan, held["phase"][inside])
         return order_map.assign(

@@ -175,7 +175,7 @@ def _undecided_sentences(comparison: Comparison) -> list[str]:
     hidden = dict[tuple[str, float], set[float]]()
     for record in comparison.orders:
         if record.undecided_rpm:
-            hidden.setdefault((record.hidden_by or "", record.order), set()).update(record.undecided_rpm)
+            hidden.setdefault((record.hidden_by or "lines close by", record.order), set()).update(record.undecided_rpm)
     by_name = dict[str, list[str]]()
     for (name, order), speeds in sorted(hidden.items()):
         places = listed([f"{rpm:.0f}" for rpm in sorted(speeds)], most=_FEW)

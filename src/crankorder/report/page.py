@@ -178,7 +178,8 @@ def index_page(tests: Sequence[Mapping[str, Any]], *, title: str = "", lead: Seq
 
 def index_facts(findings: Findings) -> dict[str, str]:
     """What an index says of a test by its ``findings``, as text by name; what it has not is left out."""
-    orders = [record for record in findings.orders if record.unit == findings.channels[0].unit]
+    first = {channel.unit for channel in findings.channels[:1]}  # amplitudes in other units are not larger or smaller
+    orders = [record for record in findings.orders if record.unit in first]
     best = max(orders, key=lambda record: record.amplitude, default=None)
     damaged = dict.fromkeys(f"{short(record.name)} {record.line}" for record in findings.bearings if record.damage)
     avoided = list(findings.speeds_to_avoid or ())[:1]
