@@ -99,17 +99,13 @@ def builds_headline(tests: Mapping[str, Comparison], alone: Sequence[str]) -> li
     ``alone`` are the names of tests without a partner.
     """
     seen = dict[str, list[tuple[float, str, str]]]()
-    of_modes = sorted(
-        ((mode, name) for name, test in tests.items() for mode in test.modes if mode.changed),
-        key=lambda pair: pair[0].frequency_hz,
-    )
+    both = [(mode, name) for name, test in tests.items() for mode in test.modes if mode.only_in is None]
     last, key = 0.0, ""
-    for mode, name in of_modes:
+    for mode, name in sorted(both, key=lambda pair: pair[0].frequency_hz):
         if mode.frequency_hz > (1.0 + MODE_SHIFTS.least_reach) * last:  # else the same as the one before
             key = f"mode {mode.frequency_hz}"
-        last = mode.frequency_hz
-        low, high = known(mode.shift_hz_ci95) or (-math.inf, math.inf)
-        seen.setdefault(key, []).append((high - low, name, _mode_sentence(mode)))
+        last, (low, high) = mode.frequency_hz, known(mode.shift_hz_ci95) or (-math.inf, math.inf)
+        seen.setdefault(key, []).append((high - low, name, _mode_sentence(mode) if mode.changed else ""))
     for name, test in tests.items():
         cause = test.cause.besides or test.cause.cause
         if cause not in ("natural frequencies", "nothing changed", "not comparable"):
@@ -117,15 +113,24 @@ def builds_headline(tests: Mapping[str, Comparison], alone: Sequence[str]) -> li
             best = _best_unbalance(test) if cause == "unbalance" else None
             width = best.factor_ci95[1] - best.factor_ci95[0] if best else 1e3 / max(len(test.speeds), 1)
             seen.setdefault(kind, []).append((width, name, _cause_sentence(test, cause)))
-    sentences = []
+    sentences, undecided = list[str](), list[str]()
     for claims in seen.values():
-        names = list(dict.fromkeys(name for _, name, _ in claims))
-        where = f"in all {len(tests)} tests" if len(names) == len(tests) > 1 else listed(names, most=_MANY)
-        sentences.append(f"{min(claims)[2].rstrip('.')} ({where}).")
+        (_, best_test, best_sentence), claimed = min(claims), [claim for claim in claims if claim[2]]
+        names = list(dict.fromkeys(name for _, name, _ in claimed))
+        every = f"all {len(tests)} tests" if len(tests) > 2 else "both tests"
+        where = f"seen in {every if len(names) == len(tests) > 1 else listed(names, most=_MANY)}"
+        if best_sentence:
+            sentences.append(f"{best_sentence.rstrip('.')} ({where}).")
+        elif claimed:
+            said = min(claimed)[2].rstrip(".")
+            undecided.append(
+                f"Not decided: {said} ({where}), but {best_test}, which tells it best, does not show that."
+            )
     whole = [name for name, test in tests.items() if test.comparable]
-    if whole and not seen:
-        count = f"any of the {len(whole)} tests" if len(whole) > 1 else f"the test {short(whole[0])}"
-        sentences.append(f"Nothing that was compared changed in {count} by more than chance alone would change it.")
+    if whole and not sentences:
+        certain = "No change is certain" if undecided else "Nothing that was compared changed by more than chance"
+        sentences.append(f"{certain} in {listed(whole, most=_MANY)}.")
+    sentences += undecided
     if refused := [name for name in tests if name not in whole]:
         sentences.append(f"Not comparable: {listed(refused, most=_MANY)}.")
     if alone:
