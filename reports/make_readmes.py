@@ -18,7 +18,7 @@ from model_keys import Row, default_of, kind_of, tables_of, toml_of
 from pydantic.fields import FieldInfo
 
 from crankorder.checks.doubts import Doubts
-from crankorder.comparison import Comparison
+from crankorder.comparison import BuildComparison, Comparison
 from crankorder.engine.balance_data import BalanceData
 from crankorder.engine.definition import Engine
 from crankorder.findings import Findings
@@ -347,6 +347,16 @@ WRITTEN = {
             "description": "What differs between two tests, or changes over the runs of one (comparison.json, and "
             "stdout of `crankorder compare --json`). The last run is compared with the first; x_ci95 is the 95 % "
             "interval of x; null where nothing can be said. More keys are allowed.",
+            "per": "comparison",
+        },
+    ),
+    "builds": (
+        BuildComparison,
+        {
+            "title": "BuildComparison",
+            "description": "What differs between two builds of several tests (builds.json, and stdout of `crankorder "
+            "compare --json` with two --out of several tests): a comparison of each test with its partner. More keys "
+            "are allowed.",
             "per": "comparison",
         },
     ),

@@ -479,7 +479,10 @@ def report(results: tuple[Path, ...], report: ReportOptions) -> None:
 def compare(
     base: Path, new: tuple[Path, ...], out: Path, q: float, as_json: bool, quiet: bool, report: ReportOptions
 ) -> None:
-    """Compare results: two builds, or one build over time (NEW... in time order; the last is compared with BASE)."""
+    """Compare results: two builds, or one build over time (NEW... in time order; the last is compared with BASE).
+
+    Of two --out of several tests each test is compared with its partner.
+    """
     from crankorder.batch.compare import compare_results, document_text, publish_comparison
 
     results = compare_results(base, new, q=q)
@@ -490,7 +493,7 @@ def compare(
         click.echo(document_text(results), nl=False)
     elif not quiet:
         click.echo("\n".join(results.document.headline))
-    if results.document.cause.cause == "not comparable":
+    if not results.document.comparable:
         click.echo(f"crankorder: {results.document.headline[0]}", err=True)
         for confound in (c for c in results.document.confounds if c.severity == "invalid"):
             click.echo(f"crankorder: not comparable: {confound.what}: {confound.words}", err=True)

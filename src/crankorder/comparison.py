@@ -9,13 +9,14 @@ from __future__ import annotations
 from typing import Literal
 
 from crankorder.findings import TrialBalance
-from crankorder.records import ABSENT, Ends, Interval, Record, said
+from crankorder.records import ABSENT, Ends, Interval, Record, known, said
 
 SCHEMA_VERSION = 1
 """Of ``comparison.json``."""
 
 Cause = Literal[
-    "nothing changed", "unbalance", "moving masses", "orders", "growing line", "natural frequencies", "not comparable",
+    "nothing changed", "unbalance", "moving masses", "orders", "growing line", "natural frequencies", "gain",
+    "not comparable",
 ]  # fmt: skip
 
 Severity = Literal["invalid", "weakens", "harmless"]
@@ -41,7 +42,13 @@ class Explanation(Record):
     """What explains the changes."""
 
     cause: Cause = said("in one word or two")
-    orders: tuple[float, ...] = said("orders that changed, or of the lines that grow from run to run")
+    orders: tuple[float, ...] = said(
+        "orders that changed by more than natural frequencies that moved explain, or of the lines that grow from run "
+        "to run"
+    )
+    besides: Cause | None = said(
+        "what explains orders that changed besides natural frequencies; null without such", default=None
+    )
 
 
 class SpeedPair(Record):
@@ -58,6 +65,12 @@ class ChannelCompared(Record):
     unit: str = said("its unit")
     compared: bool = said("whether it was compared")
     reason: str = said("why it was not compared; else empty")
+    gain: float | None = said(
+        "second test over first where the channel reads all orders by one factor more or less at all speeds, and no "
+        "other channel changed: its sensor or gain; null else",
+        default=None,
+    )
+    gain_ci95: Interval | None = said(default=None)
 
 
 class OrderChangeRecord(Record):
@@ -83,6 +96,15 @@ class OrderChangeRecord(Record):
     difference_ci95: Interval = said()
     n_speeds: int = said("speeds that were compared")
     n_changed: int = said("speeds at which a change is claimed")
+    by_modes_hz: tuple[float, ...] = said(
+        "natural frequencies whose shift may be all of the change that is claimed", default=()
+    )
+    undecided_rpm: tuple[float, ...] = said(
+        "speeds at which lines beside it, such as mains, may hide a change; none is claimed there", default=()
+    )
+    hidden_by: str | None = said(
+        "what lines of one frequency these are, as the findings say; null for other lines", default=None
+    )
 
 
 class ModeShift(Record):
@@ -97,6 +119,12 @@ class ModeShift(Record):
     damping_change_ci95: Interval | None = said(default=ABSENT)
     p_value: float | None = said("chance of so large a change where nothing changed")
     changed: bool = said("whether a change is claimed", default=False)
+
+    @property
+    def moved(self) -> bool:
+        """Whether a shift is claimed, rather than a change of damping alone."""
+        ends = known(self.shift_hz_ci95)
+        return self.changed and ends is not None and not ends[0] <= 0 <= ends[1]
 
 
 class UnbalanceRecord(Record):
@@ -200,3 +228,29 @@ class Comparison(Record):
     balance_reason: str = said("why neither test closed its balance; empty where one did")
     trend: tuple[Trend, ...] = said("lines over the runs: bearing lines of two or more, orders of three or more")
     confounds: tuple[Confound, ...] = said("what else than the machine differs")
+
+    @property
+    def comparable(self) -> bool:
+        """Whether the tests have anything in common that could be compared."""
+        return self.cause.cause != "not comparable"
+
+
+class BuildComparison(Record):
+    """What differs between two builds, each of several tests."""
+
+    schema_version: int = said("version of this schema", least=1)
+    base: str = said("name of the folder of the first build")
+    new: str = said("name of the folder of the second build")
+    headline: tuple[str, ...] = said("what changed over all tests, in sentences")
+    tests: tuple[Comparison, ...] = said("comparison of each test of the first build with its partner in the second")
+    alone: tuple[str, ...] = said("tests without a partner, which were not compared, with the folder of their build")
+
+    @property
+    def comparable(self) -> bool:
+        """Whether any two tests have anything in common that could be compared."""
+        return any(test.comparable for test in self.tests)
+
+    @property
+    def confounds(self) -> tuple[Confound, ...]:
+        """What else than the machine differs in any two tests, each once."""
+        return tuple(dict.fromkeys(confound for test in self.tests for confound in test.confounds))

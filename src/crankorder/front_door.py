@@ -426,9 +426,10 @@ def compare(
 ) -> Sheet:
     """What changed from the results in ``base`` to the last of ``new`` (``data_schema/comparison.json``).
 
-    Several ``new`` in time order give the trend over all. ``fdr`` is the share of the claimed changes that may be
-    chance, above 0, up to 0.5; ``out`` is a folder for page, pictures and NetCDF. Raises RequestError where a folder
-    holds no test's results, where none is ``new`` or ``fdr`` is out of range, InputError where results are damaged or
+    Several ``new`` in time order give the trend over all; two ``--out`` of several tests are compared test by test
+    (``data_schema/builds.json``). ``fdr`` is the share of the claimed changes that may be chance, above 0, up to 0.5;
+    ``out`` is a folder for page, pictures and NetCDF. Raises RequestError where a folder holds no test's results, where
+    none is ``new`` or ``fdr`` is out of range, InputError where results are damaged or
     hold nothing that can be compared.
 
     >>> import crankorder as co, tempfile

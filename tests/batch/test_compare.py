@@ -8,6 +8,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from crankorder.batch.compare import KindOfTest, partners
 from crankorder.batch.result_folder import DONE, finished_with, publish
 from crankorder.quantities import schema_of
 from crankorder.report.netcdf import read_results, results_bytes
@@ -61,7 +62,7 @@ def test_a_balance_weight_is_recognised_and_weighed_by_the_same_bytes_each_time(
     made = document(tmp_path / "c")
     assert json.loads(outcome.stdout) == made
     jsonschema.Draft202012Validator(schema_of("comparison")).validate(made)
-    assert made["cause"] == {"cause": "unbalance", "orders": [1.0]}
+    assert made["cause"] == {"cause": "unbalance", "orders": [1.0], "besides": None}
     (record,) = [one for one in made["unbalance"] if one["explains"]]
     assert record["factor_ci95"][0] < 0.2 < record["factor_ci95"][1]
     before = 2.0 / abs(1 - 0.2 * np.exp(0.5j))
@@ -92,6 +93,44 @@ def test_the_out_of_a_run_of_one_test_stands_for_that_test(results, tmp_path):
     assert "cannot differ" in same["words"]
 
 
+def test_tests_of_two_builds_are_paired_and_what_changed_is_said_once(results, tmp_path):
+    for build, runs in (("a", ("run 0", "balanced")), ("b", ("run 1", "balanced", "run 2"))):
+        for run in runs:
+            name = "second" if run == "balanced" else "extra" if run == "run 2" else "first"
+            files = {path.name: path.read_bytes() for path in results[run].iterdir() if path.name != DONE}
+            stated = json.loads(files["run.json"]) | {"test": name}
+            publish(tmp_path / build / name, files | {"run.json": json.dumps(stated).encode()}, key="k")
+    outcome = compare(tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c")
+    assert outcome.exit_code == 0, outcome.output
+    made = json.loads((tmp_path / "c" / "builds.json").read_bytes())
+    jsonschema.Draft202012Validator(schema_of("builds")).validate(made)
+    assert outcome.stdout.splitlines() == made["headline"] and made["alone"] == ["extra (b)"]
+    assert [test["cause"]["orders"] for test in made["tests"]] == [[5.5], []]
+    assert (
+        "5.5" in made["headline"][0]
+        and made["headline"][0].endswith("(seen in first).")
+        and "extra" in made["headline"][-1]
+    )
+    page = (tmp_path / "c" / "index.html").read_text()
+    assert page.index("5.5") < page.index("first-comparison.html")
+    assert (tmp_path / "c" / "second-comparison.html").is_file()
+
+
+def test_partners_are_found_by_name_or_else_by_speeds_and_number_of_recordings():
+    base = [
+        KindOfTest("sweep", 17, (400.0, 2000.0)),
+        KindOfTest("up", 1, (400.0, 2000.0)),
+        KindOfTest("one", 1, (1200.0, 1200.0)),
+    ]
+    new = [
+        KindOfTest("b1", 1, (1200.0, 1200.3)),
+        KindOfTest("b2", 1, (410.0, 1990.0)),
+        KindOfTest("b3", 16, (400.0, 1900.0)),
+    ]
+    assert partners(base, new) == [(0, 2), (1, 1), (2, 0)]
+    assert partners(base, [KindOfTest("up", 1, (9.0, 9.0)), KindOfTest("x", 1, (50.0, 60.0))]) == [(1, 0)]
+
+
 def test_a_test_beside_itself_is_refused(results, tmp_path):
     for tests in (("run 0", "run 0"), ("run 0", "run 1", "run 1")):
         outcome = compare(*(results[name] for name in tests), "--out", tmp_path / "c")
@@ -106,7 +145,7 @@ def test_structures_are_compared_by_their_modes_and_what_shares_nothing_is_told(
         test = made_test({}, name=name, speeds=(900.0,), modes=[mode])
         written(replace(test, maps={"shaft": test.maps["shaft"]}), tmp_path)
     outcome = compare(tmp_path / "a", tmp_path / "b", "--out", tmp_path / "ab")
-    assert outcome.exit_code == 0 and outcome.stdout.startswith("Natural frequencies or their damping changed")
+    assert outcome.exit_code == 0 and outcome.stdout.startswith("The 90 Hz natural frequency moved to 88")
     jsonschema.Draft202012Validator(schema_of("comparison")).validate(document(tmp_path / "ab"))
     outcome = compare(tmp_path / "a", tmp_path / "c", "--out", tmp_path / "ac", "-q")
     assert outcome.exit_code == 4 and "no natural frequency that both show" in outcome.stderr

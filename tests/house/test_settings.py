@@ -21,7 +21,7 @@ def readmes():
 
 def test_each_generated_page_and_schema_is_up_to_date(readmes):
     pages = readmes.pages()
-    assert len(pages) == 10
+    assert len(pages) == 11
     there = {path: path.read_text(encoding="utf-8") if path.is_file() else "" for path in pages}
     assert not [str(path) for path in pages if there[path] != pages[path]], "run `python reports/make_readmes.py`"
 

@@ -109,6 +109,65 @@ def test_modes_that_moved_are_claimed_and_those_of_one_test_are_not(base):
     assert records[187].only_in == "base" and not records[187].changed
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_mains_of_another_phase_are_no_change_and_a_change_at_other_speeds_is_found(seed):
+    order, rpm = ((1.0, 3000.0), (2.0, 1500.0))[seed % 2]
+    lines, other = (
+        {1.0: BASE[1.0], 5.5: BASE[5.5], order: lambda rpm: 0.3j},
+        {"mains": 0.4, "speeds": (900.0, 1200.0, rpm)},
+    )
+    base, same = (made_test(lines, seed=60 + 10 * seed + k, **other) for k in (0, 1))
+    document = compared([base, same], q=0.01).document
+    assert document.cause.cause == "nothing changed"
+    (met,) = [record for record in document.orders if record.undecided_rpm]
+    assert (met.order, met.hidden_by) == (order, "mains") and met.undecided_rpm == pytest.approx((rpm,), abs=1.0)
+    more = made_test({**lines, order: lambda rpm: 0.5j}, seed=65 + 10 * seed, **other)
+    (changed,) = [record for record in compared([base, more], q=0.01).document.orders if record.changed]
+    assert changed.order == order and changed.ratio_ci95[0] < 0.5 / 0.3 < changed.ratio_ci95[1]
+
+
+def on_a_mode(rng, hz, unbalance=1.0):
+    """Lines of orders that a mode shapes, and what the findings say of it; the path is that of ``rng``."""
+    phases, sizes = np.exp(2j * np.pi * rng.random(3)), 0.4 + 0.4 * rng.random(3)
+
+    def response(order, k):
+        def ratio(rpm):
+            return order * rpm / 60 / hz
+
+        size = sizes[k] * phases[k] * (unbalance if order == 1.0 else 1.0)
+        return lambda rpm: size * (rpm / 1000) ** 2 / (1 - ratio(rpm) ** 2 + 0.04j * ratio(rpm))
+
+    ends = {"frequency_hz_ci95": [hz - 0.2, hz + 0.2], "damping_ratio_ci95": [0.018, 0.022]}
+    mode = {"frequency_hz": hz, "damping_ratio": 0.02, "explained_by": "mode", **ends}
+    return {order: response(order, k) for k, order in enumerate((1.0, 3.0, 4.0))}, [mode]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_orders_change_as_a_natural_frequency_moves_is_put_down_to_it_and_an_unbalance_is_not(seed):
+    hz, share = np.random.default_rng(seed).uniform((55.0, 0.02), (130.0, 0.04)) * (1, (-1) ** seed)
+    places = ((hz, 1.0), (hz * (1 + share), 1.0), (hz * (1 + share), 1.5))
+    machines = [on_a_mode(np.random.default_rng(seed), *place) for place in places]
+    base, moved, both = (made_test(of, modes=mode, seed=130 + 3 * seed + k) for k, (of, mode) in enumerate(machines))
+    document = compared([base, moved], q=0.01).document
+    assert (document.cause.cause, document.cause.orders) == ("natural frequencies", ())
+    cause = compared([base, both], q=0.01).document.cause
+    assert (cause.cause, cause.orders) == ("natural frequencies", (1.0,)) and cause.besides is not None
+
+
+def test_a_gain_of_one_channel_is_told_from_the_machine_and_its_interval_covers():
+    covered = []
+    for seed in range(8):
+        gain = float(np.random.default_rng(seed).choice([0.9, 1.06]))
+        base, new = (
+            made_test(BASE, channels="AB", seed=170 + 2 * seed + k, gains=(1.0, g)) for k, g in enumerate((1, gain))
+        )
+        document = compared([base, new], q=0.01).document
+        told = {channel.name: channel.gain_ci95 for channel in document.channels if channel.gain}
+        assert document.cause.cause == "gain" and set(told) == {"B"}
+        covered.append(told["B"][0] < gain < told["B"][1])
+    assert sum(covered) >= 6  # by 95 % each, in all but six of a thousand such tests
+
+
 def test_a_bearing_line_that_grows_from_run_to_run_is_the_cause_where_no_order_changed():
     runs = []
     for number in range(4):

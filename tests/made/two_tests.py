@@ -11,8 +11,10 @@ import xarray as xr
 from crankorder.batch.result_folder import publish
 from crankorder.batch.store import json_bytes
 from crankorder.identify.order_changes import Tested
+from crankorder.orders.fixed_lines import lines_of_findings
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
+from crankorder.orders.track_rows import order_tracks
 from crankorder.report.netcdf import results_bytes
 from crankorder.settings import load_settings
 from made.recordings import line, steady, total
@@ -29,20 +31,38 @@ Phasor = Callable[[float], complex]
 def made_test(
     lines: Mapping[float, Phasor], *, name: str = "made", seed: int = 0, speeds: Sequence[float] = SPEEDS_RPM,
     duration_s: float = 16.0, run: Mapping[str, Any] | None = None, modes: Sequence[dict[str, Any]] = (),
-    channels: Sequence[str] = ("A",),
+    channels: Sequence[str] = ("A",), mains: float = 0.0, gains: Sequence[float] = (),
 ) -> Tested:  # fmt: skip
-    """A test with ``lines`` (by order) in white noise; ``run`` is merged into what run.json states."""
+    """A test with ``lines`` (by order) in white noise; ``run`` is merged into what run.json states.
+
+    ``mains`` is the amplitude of a line of 50 Hz whose phase is by chance, ``gains`` those of the channels, else 1.
+    """
     orders = []
     for number, rpm in enumerate(speeds):
         phasors = {order: complex(phasor(rpm)) for order, phasor in lines.items()}
         tones = [line(order, abs(value), float(np.angle(value))) for order, value in phasors.items()]
-        signals = [total(*tones, _noise(1000 * seed + 10 * number + row)) for row in range(len(channels))]
+        tones = [_scaled(total(*tones, _mains(mains, 1000 * seed + number)), gain) for gain in gains or [1.0] * 9]
+        signals = [total(tones[row], _noise(1000 * seed + 10 * number + row)) for row in range(len(channels))]
         recording = steady(signals, speed_rpm=rpm, duration_s=duration_s, rate_hz=RATE_HZ)
         orders.append(order_frames(*recording, settings=SETTINGS.orders))
     by_order = order_map(orders, settings=SETTINGS.orders).assign_coords(channel=list(channels))
     shaft = xr.Dataset({"speed_mean": ("recording", np.array(speeds), {"units": "min-1"})})
     document, statement = findings(lines, channels, name, modes), {**stated(name, channels), **(run or {})}
-    return Tested(name, findings_of(document), statement, {"order_map": by_order, "shaft": shaft})
+    fixed = {"frequency_hz": 50.0, "frequency_hz_ci95": [49.98, 50.02], "explained_by": "mains", "amplitude": mains}
+    fixed["amplitude_ci95"] = [0.9 * mains, 1.1 * mains]
+    told = findings_of(document | {"lines": [fixed | {"channel": channel} for channel in channels if mains]})
+    known = {"settings": SETTINGS.orders, "frames": orders, "fixed": lines_of_findings(told)}
+    tracks = order_tracks(by_order.drop_vars("frames_used", errors="ignore"), list(lines), **known)
+    return Tested(name, told, statement, {"order_map": by_order, "order_tracks": tracks, "shaft": shaft})
+
+
+def _mains(amplitude: float, seed: int) -> Any:
+    phase = 2.0 * np.pi * np.random.default_rng([seed, 50]).random()
+    return lambda time_s, _: amplitude * np.cos(2.0 * np.pi * 50.0 * time_s + phase)
+
+
+def _scaled(signal: Any, gain: float) -> Any:
+    return lambda *at: gain * signal(*at)
 
 
 def _noise(seed: int) -> Any:

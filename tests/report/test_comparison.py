@@ -5,7 +5,13 @@ import pytest
 
 from crankorder.comparison import Comparison, Trend
 from crankorder.identify.compared import compared
-from crankorder.report.comparison import comparison_page, comparison_story, trend_verdict, with_sentences
+from crankorder.report.comparison import (
+    builds_headline,
+    comparison_page,
+    comparison_story,
+    trend_verdict,
+    with_sentences,
+)
 from crankorder.report.comparison_figures import order_change_figure
 from crankorder.settings import load_settings
 from made.two_tests import made_test
@@ -67,6 +73,31 @@ def test_the_page_answers_first_and_escapes_what_comes_from_files(doubled):
     for said in ("What changed", "How sure", "Order 5.5", "confounds"):
         assert said in page
     assert "<script" not in page and "http" not in page.split("</head>")[1]
+
+
+def test_of_two_builds_each_change_is_said_once_by_the_test_that_tells_it_best():
+    def of(shift, half, seed):
+        known = {"damping_ratio": 0.01, "damping_ratio_ci95": [0.009, 0.011], "explained_by": "mode"}
+        ends = [[hz - half, hz + half] for hz in (90.0, 90.0 + shift)]
+        modes = [
+            [known | {"frequency_hz": hz, "frequency_hz_ci95": end}]
+            for hz, end in zip((90.0, 90.0 + shift), ends, strict=True)
+        ]
+        return documented(*(made_test(LINES, name=n, seed=seed + k, modes=modes[k]) for k, n in enumerate("ab")))[0]
+
+    sharp, rough, still = of(2.7, 0.1, 1), of(2.4, 0.5, 3), of(0.0, 0.1, 5)
+    lead, *more = builds_headline({"rough": rough, "sharp": sharp}, ["lone (b)"])
+    assert lead.startswith("The 90 Hz natural frequency moved to 92.70 Hz") and lead.endswith("(seen in both tests).")
+    assert len(more) == 1 and "lone (b)" in more[0]
+    none, doubt = builds_headline({"rough": rough, "still": still}, [])
+    assert (
+        none == "No change is certain in rough and still."
+        and doubt.startswith("Not decided")
+        and "still, which tells it best" in doubt
+    )
+    assert builds_headline({"still": still}, [])[0].startswith(
+        "Nothing that was compared changed by more than chance in still"
+    )
 
 
 def test_tests_that_are_alike_have_a_page_too():

@@ -310,3 +310,22 @@ def test_the_index_lists_every_test_its_headline_and_the_recordings_that_failed(
         assert word in text
     assert ("href", "./first/report.html") in reader.attributes
     assert "No test was analysed" in index_page([])
+
+
+@pytest.mark.parametrize("n_tests", [1, 300])
+def test_the_index_has_trouble_first_and_every_test_once(n_tests):
+    rng = np.random.default_rng(n_tests)
+    kinds = [
+        ("failed", {}),
+        ("partial", {}),
+        ("done", {"Failing bearing": "b"}),
+        ("done", {"Avoid": "9 rpm"}),
+        ("done", {}),
+    ]
+    drawn = rng.integers(len(kinds), size=n_tests)
+    tests = [
+        {"name": f"t{n}", "status": kinds[k][0], "facts": kinds[k][1], "picture": "a/b.png"}
+        for n, k in enumerate(drawn)
+    ]
+    words = [word.strip() for word in _Reader(index_page(tests)).words]
+    assert [int(word[1:]) for word in words if re.fullmatch(r"t\d+", word)] == np.argsort(drawn, kind="stable").tolist()

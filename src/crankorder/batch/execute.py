@@ -285,6 +285,7 @@ class _TestRun:
         files = self._reporting.files_of_test(groups, findings, stated, plan.settings.report)
         self._lap("report")
         outcome.findings = findings
+        outcome.pictures = tuple(name for name in files if name.startswith("campbell_") and not name.endswith(".pdf"))
         outcome.status = "partial" if outcome.faults else "done"
         key = f"{key} with faults" if outcome.faults else key
         timings = {result_folder.TIMINGS: json_bytes({"seconds": outcome.seconds})}  # no result

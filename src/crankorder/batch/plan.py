@@ -89,6 +89,8 @@ class Outcome:
     seconds: dict[str, float] = field(default_factory=dict)
     reused: int = 0
     """Recordings whose results an earlier run had kept."""
+    pictures: tuple[str, ...] = ()
+    """Names of its files that show its Campbell diagrams, one by channel."""
     kept: bool = False
     """Whether what an earlier run finished was kept, for nothing had changed."""
 
@@ -103,9 +105,11 @@ class Outcome:
 
     @property
     def record(self) -> dict[str, Json]:
-        """Its record in an index: name, status, folder, headline and failed recordings."""
+        """Its record in an index: name, status, folder, picture, facts, headline and failed recordings."""
+        from crankorder.report.page import index_facts
         from crankorder.report.sentences.story import headline
 
+        facts = {} if self.findings is None else index_facts(self.findings)
         folder = self.plan.out.name
         failed = [{"recording": self.plan.name_of(Path(fault.file)), "error": str(fault)} for fault in self.faults]
         internal = (f"internal fault: {type(error).__name__}: {printable(error)}" for error in self.internal)
@@ -116,6 +120,8 @@ class Outcome:
             "folder": folder,
             "link": None if self.status == "failed" else f"{folder}/report.html",
             "recordings": len(self.plan.recordings),
+            "picture": f"{folder}/{self.pictures[-1]}" if self.pictures else None,
+            "facts": facts,
             "headline": [] if self.findings is None else headline(self.findings),
             "failed": failed,
         }

@@ -6,7 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
@@ -34,10 +34,12 @@ from crankorder.comparison import (
 from crankorder.engine.definition import Engine
 from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Findings, ModeFinding, TrialBalance
+from crankorder.identify.mass_change import NUMBERS as MASS_CHANGE
 from crankorder.identify.mass_change import balance_changes, trial_mass, unbalance_change
 from crankorder.identify.order_changes import NUMBERS as ORDER_CHANGES
 from crankorder.identify.order_changes import (
     TO_DB,
+    Line,
     OrderChange,
     Tested,
     like_speeds,
@@ -45,7 +47,9 @@ from crankorder.identify.order_changes import (
     order_maps,
     run_trends,
 )
+from crankorder.orders.fixed_lines import lines_of_findings
 from crankorder.orders.intervals import claimed, error_of, interval
+from crankorder.orders.track_rows import REACH_BINS
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.records import finite, known
 from crankorder.settings import MethodNumbers
@@ -80,13 +84,18 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     phases = not any((doubt.severity, doubt.part) == ("weakens", "phases") for doubt in doubts)
     speeds, orders, changes = order_changes(base, new, channels, within_rpm=within, q=q, phases=phases)
     modes = _mode_shifts(base.findings, new.findings) if "modes" in base.comparable & new.comparable else []
+    modes = _with_claims(modes, q=q)
+    moved, by_modes = _by_modes(changes, modes, q=q)
+    gains = _gains(changes)
     units = [{channel.name: channel.unit for channel in test.findings.channels} for test in tests]
     shared = [name for name in channels if all(of_test.get(name) == units[0][name] for of_test in units)]
     unbalances = [found for c in changes if c.order in (1.0, 2.0) and (found := unbalance_change(c))]
     explaining = [factor for record, factor in unbalances if record.explains]
     trial, trial_reason = _trial_mass(base, new)
     compared_channels = (
-        ChannelCompared(name=name, unit=unit, compared=name in channels, reason=refused.get(name, ""))
+        ChannelCompared(
+            name=name, unit=unit, compared=name in channels, reason=refused.get(name, ""), **gains.get(name, {})
+        )
         for name, unit in {**units[-1], **units[0]}.items()
     )
     closed = base.findings.balance or new.findings.balance
@@ -95,8 +104,11 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
         schema_version=SCHEMA_VERSION, base=base.name, new=new.name, runs=tuple(test.name for test in tests),
         false_discovery_rate=q, headline=(), cause=Explanation(cause="not comparable", orders=()), speeds=speeds,
         channels=tuple(compared_channels),
-        orders=tuple(_order_record(change, _explained(change, base, new)) for change in changes),
-        modes=tuple(sorted(_with_claims(modes, q=q), key=lambda mode: mode.frequency_hz)),
+        orders=tuple(
+            replace(_order_record(change, base, new), by_modes_hz=moved if of_modes else ())
+            for change, of_modes in zip(changes, by_modes, strict=True)
+        ),
+        modes=tuple(sorted(modes, key=lambda mode: mode.frequency_hz)),
         unbalance=tuple(record for record, _ in unbalances), trial_mass=trial, trial_mass_reason=trial_reason,
         balance=balance_changes(base.findings, new.findings, explaining), balance_reason=why_not,
         trend=tuple(_with_claims(run_trends(tests, orders, shared, within_rpm=within), q=q)), confounds=tuple(doubts),
@@ -111,25 +123,87 @@ def _with_claims(records: Sequence[R], *, q: float) -> list[R]:
     return [replace(record, changed=bool(claim)) for record, claim in zip(records, claims, strict=True)]
 
 
+def _beyond_shifts(change: OrderChange, shifts_hz: Sequence[tuple[float, float]]) -> OrderChange:
+    """What of ``change`` is left beyond what modes that moved, each from and to ``shifts_hz``, may make of an order.
+
+    As f0 becomes f1, the response of a mode at f changes by |f1² - f0²| / |f1² - f²| of it where its stiffness changed,
+    by (f / f0)² times that where its mass did. Other modes dilute that, but near zeros of the whole response.
+    """
+    hertz, base = change.order * change.base_rpm / 60.0, change.base
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = [
+            np.maximum(1.0, np.square(hertz / was)) * abs(to**2 - was**2) / np.abs(to**2 - hertz**2)
+            for was, to in shifts_hz
+        ]
+        most = np.nan_to_num(np.sum(moved, axis=0), nan=np.inf) * base.amplitude
+        part = np.fmin(1.0, most / np.abs(change.vector_change))
+    amplitude = base.amplitude + np.clip(change.difference, -most, most)
+    return replace(change, base=replace(base, amplitude=amplitude, vector=base.vector + part * change.vector_change))
+
+
+def _by_modes(
+    changes: Sequence[OrderChange], modes: Sequence[ModeShift], *, q: float
+) -> tuple[tuple[float, ...], Sequence[bool]]:
+    """Natural frequencies that moved, and which of the ``changes`` that are claimed these may explain whole."""
+    moved = [(mode, ends) for mode in modes if mode.moved and (ends := known(mode.shift_hz_ci95))]
+    shifts = [(mode.frequency_hz, mode.frequency_hz + max(ends, key=abs)) for mode, ends in moved]
+    if not (shifts and changes):
+        return (), [False] * len(changes)
+    left = claimed(np.array([_beyond_shifts(change, shifts).p_all for change in changes]), q=q)
+    of_modes = [bool(change.changed and not more) for change, more in zip(changes, left, strict=True)]
+    return tuple(mode.frequency_hz for mode, _ in moved), of_modes
+
+
+def _together(changes: Sequence[OrderChange]) -> OrderChange:
+    """The ``changes`` as one over all their orders and speeds, whose mean ratio is one factor of all."""
+
+    def joined(lines: Sequence[Line]) -> Line:
+        values = ([np.broadcast_to(getattr(line, field.name), line.error.shape) for line in lines]
+                  for field in fields(Line))  # fmt: skip
+        return Line(*map(np.concatenate, values))
+
+    rpm = np.concatenate([change.base_rpm for change in changes])
+    return OrderChange(rpm, rpm, joined([change.base for change in changes]), joined([c.new for c in changes]))
+
+
+def _gains(changes: Sequence[OrderChange]) -> dict[str, Any]:
+    """Keys of ChannelCompared of the one channel whose orders all changed by one factor, by its name; else none."""
+    channels = list(dict.fromkeys(change.channel for change in changes))
+    means = {name: _together([change for change in changes if change.channel == name]).mean for name in channels}
+    lone = [name for name, mean in means.items() if not mean.p_value >= MASS_CHANGE.fit_chance]
+    if len(lone) != 1 or len(channels) < 2 or any(change.phase_only for change in changes):
+        return {}
+    orders = [change for change in changes if change.changed and change.channel == lone[0]]
+    # NaN, of one value alone, tells no common factor
+    if len(orders) < 2 or not all(mean.p_alike >= MASS_CHANGE.fit_chance for mean in means.values()):
+        return {}
+    mean = means[lone[0]]
+    gain, low, high = (float(np.exp(decibels / TO_DB)) for decibels in (mean.ratio_db, *mean.ci95_db))
+    return {lone[0]: {"gain": gain, "gain_ci95": (low, high)}}
+
+
 def _explanation(comparison: Comparison) -> Explanation:
     """What explains the changes best: the cause in one word or two, and the orders that it concerns."""
-    changed = [record for record in comparison.orders if record.changed]
+    changed = [record for record in comparison.orders if record.changed and not record.by_modes_hz]
     orders = tuple(sorted({record.order for record in changed}))
     grown = tuple(sorted({trend.order for trend in comparison.trend if trend.grows}))
     compared_modes = [mode for mode in comparison.modes if mode.only_in is None]
-    explained = any(unbalance.explains for unbalance in comparison.unbalance)
+    moved = any(mode.changed for mode in compared_modes)
+    explained = any(unbalance.explains and unbalance.order in orders for unbalance in comparison.unbalance)
     moved_mark = all(record.phase_only for record in changed)  # rather than masses
     causes: tuple[tuple[Cause, bool], ...] = (
         ("not comparable", not (comparison.orders or compared_modes)),
-        ("growing line", not orders and bool(grown)),
-        ("natural frequencies", not orders and any(mode.changed for mode in compared_modes)),
+        ("gain", any(channel.gain for channel in comparison.channels)),
+        ("growing line", not orders and bool(grown) and not any(record.by_modes_hz for record in comparison.orders)),
+        ("natural frequencies", moved),
         ("nothing changed", not orders),
         ("unbalance", explained and orders == (1.0,)),
         ("moving masses", explained and not moved_mark and set(orders) <= {1.0, 2.0}),
         ("orders", True),
     )
-    cause = next(cause for cause, holds in causes if holds)
-    return Explanation(cause=cause, orders=grown if cause == "growing line" else orders)
+    cause, *further = [cause for cause, holds in causes if holds]
+    besides = further[0] if cause == "natural frequencies" and orders else None
+    return Explanation(cause=cause, orders=grown if cause == "growing line" else orders, besides=besides)
 
 
 def _explained(change: OrderChange, base: Tested, new: Tested) -> str | None:
@@ -142,12 +216,13 @@ def _explained(change: OrderChange, base: Tested, new: Tested) -> str | None:
     return None
 
 
-def _order_record(change: OrderChange, explained: str | None) -> OrderChangeRecord:
+def _order_record(change: OrderChange, base: Tested, new: Tested) -> OrderChangeRecord:
     best = int(np.nanargmax(np.abs(change.difference) / np.maximum(change.base.error + change.new.error, 1e-300)))
     ratio_db, low_db, high_db = (finite(decibels) for decibels in (change.mean.ratio_db, *change.mean.ci95_db))
     ratio, low, high = (finite(np.exp(decibels / TO_DB)) for decibels in (change.mean.ratio_db, *change.mean.ci95_db))
     return OrderChangeRecord(
-        channel=change.channel, order=change.order, unit=change.unit, locked=change.locked, explained_by=explained,
+        channel=change.channel, order=change.order, unit=change.unit, locked=change.locked,
+        explained_by=_explained(change, base, new),
         changed=change.changed, phase_only=change.phase_only, p_value=change.p_all,
         ratio=ratio, ratio_ci95=(low, high), ratio_db=ratio_db, ratio_db_ci95=(low_db, high_db),
         alike_p=finite(change.mean.p_alike),
@@ -155,7 +230,17 @@ def _order_record(change: OrderChange, explained: str | None) -> OrderChangeReco
         new_amplitude=float(change.new.amplitude[best]), difference=float(change.difference[best]),
         difference_ci95=(float(change.difference_ci95[best, 0]), float(change.difference_ci95[best, 1])),
         n_speeds=len(change.base_rpm), n_changed=int(np.count_nonzero(change.changed_at)),
+        undecided_rpm=tuple(change.base_rpm[change.undecided_at].tolist()), hidden_by=_hidden_by(change, base, new),
     )  # fmt: skip
+
+
+def _hidden_by(change: OrderChange, base: Tested, new: Tested) -> str | None:
+    """Names of the lines of one frequency that the order of ``change`` meets where it is undecided; None for none."""
+    places = change.base_rpm[change.undecided_at] / 60.0
+    reach = REACH_BINS * float(np.diff(base.maps["order_map"]["order"].values[:2])[0])
+    lines = [line for test in (base, new) for line in lines_of_findings(test.findings)]
+    met = (line.name for line in lines if np.any(np.abs(line.frequency_hz / places - change.order) <= reach))
+    return " and ".join(dict.fromkeys(met)) or None
 
 
 def _mode_shifts(base: Findings, new: Findings) -> list[ModeShift]:

@@ -15,6 +15,7 @@ from scipy.special import fdtrc, stdtr
 from crankorder.comparison import LineKind, SpeedPair, Trend
 from crankorder.findings import Findings, OrderFinding
 from crankorder.identify.envelope_lines import Spectra, spectra_of
+from crankorder.orders.fixed_lines import OrderRows
 from crankorder.orders.intervals import (
     claimed,
     error_of,
@@ -26,6 +27,8 @@ from crankorder.orders.intervals import (
     positive_interval,
     simes,
 )
+from crankorder.orders.track_rows import ON_BIN, ON_BIN_NAMES
+from crankorder.orders.true_angle import UNKNOWN_DEG
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.records import Document, finite, known
 from crankorder.settings import MethodNumbers
@@ -53,22 +56,60 @@ class Tested:
     run: Document
     maps: Mapping[str, xr.Dataset]
 
+    @cached_property
+    def order_map(self) -> xr.Dataset:
+        """OrderMap whose bins have the rows of the tracks on them, which know the lines of one frequency they meet.
+
+        ``hidden`` (channel, speed, order) is True where such lines may add more than noise hides; a phase that they
+        hide is NaN.
+        """
+        order_map, tracks = self.maps["order_map"].copy(), self.maps.get("order_tracks")
+        held = {name: order_map[name].transpose("channel", "speed", "order").values.copy() for name in ON_BIN_NAMES}
+        hidden = np.zeros(held["phase"].shape, dtype=np.bool_)
+        if tracks is not None and tracks["channel"].values.tolist() == order_map["channel"].values.tolist():
+            bins, rows = (
+                _alike(order_map[name].values, tracks[name].values, within)
+                for name, within in (
+                    ("order", ON_BIN),
+                    ("speed", EXACT * np.nanmax(np.append(order_map["speed"], 1.0))),
+                )
+            )
+            every = np.arange(len(hidden))
+            inside, beside = np.ix_(every, rows[0], bins[0]), np.ix_(every, bins[1], rows[1])
+            own = held["coherent_amplitude_high"][inside] - held["coherent_amplitude_low"][inside]
+            for name, field in zip(ON_BIN_NAMES, OrderRows._fields, strict=True):
+                held[name][inside] = tracks[field].values[beside].transpose(0, 2, 1)
+            width = held["coherent_amplitude_high"][inside] - held["coherent_amplitude_low"][inside]
+            hidden[inside] = width > 2.0 * own  # what they may add is more than the half width of noise
+            unknown = hidden[inside] & (held["phase_ci95"][inside] >= UNKNOWN_DEG)
+            held["phase"][inside] = np.where(unknown, np.nan, held["phase"][inside])
+        return order_map.assign(
+            {name: (("channel", "speed", "order"), values) for name, values in (*held.items(), ("hidden", hidden))}
+        )
+
     @property
     def comparable(self) -> set[str]:
         """What a comparison can take from these results: "orders" of an order map, "modes" where they were sought."""
         return ({"orders"} if "order_map" in self.maps else set()) | ({"modes"} & set(self.findings.looked_for))
 
 
+def _alike(places: Floats, others: Floats, within: float) -> tuple[Ints, Ints]:
+    """Positions in both lists of the numbers that are one in both, to ``within``."""
+    found = np.nonzero(np.abs(places[:, None] - others) <= within)
+    return found[0], found[1]
+
+
 def order_maps(tests: Sequence[Tested]) -> list[xr.Dataset]:
     """OrderMaps of the ``tests``; none where any of them has none."""
-    return [test.maps["order_map"] for test in tests] if all("orders" in test.comparable for test in tests) else []
+    return [test.order_map for test in tests] if all("orders" in test.comparable for test in tests) else []
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
     """One order in one channel at some speeds: amplitude, its standard error and freedom, and its phasor (NaN: none).
 
-    ``vector_error`` is the standard error of each part of the phasor, ``noise`` what of it adds to its length.
+    ``vector_error`` is the standard error of each part of the phasor, ``noise`` what of it adds to its length,
+    ``hidden`` whether lines of one frequency, such as mains, may add more to it than noise hides.
     """
 
     amplitude: Floats
@@ -77,6 +118,7 @@ class Line:
     vector: Complexes
     vector_error: Floats
     noise: Floats | float = 0.0
+    hidden: Bools | bool = False
 
     @property
     def without_phasor(self) -> Line:
@@ -134,6 +176,11 @@ class OrderChange:
         """Its interval."""
         error, freedom = welch(self.base.error, self.base.freedom, self.new.error, self.new.freedom)
         return self.difference[:, None] + (half_widths(freedom) * error)[:, None] * (-1.0, 1.0)
+
+    @property
+    def undecided_at(self) -> Bools:
+        """Speeds (speeds,) without a claim at which lines of one frequency may hide a change."""
+        return np.asarray((self.base.hidden | self.new.hidden) & ~np.asarray(self.changed_at, dtype=np.bool_))
 
     @property
     def vector_change(self) -> Complexes:
@@ -273,7 +320,8 @@ def line_of(order_map: xr.Dataset, channel: str, order: float, at: Ints, *, lock
     half = np.radians(values("phase_ci95"))
     across = np.where(half < np.pi / 2, amplitude * half / half_widths(freedom), 0.0)
     vector = np.asarray(amplitude * np.exp(1j * np.radians(values("phase"))), dtype=np.complex128)
-    line = Line(amplitude, error, freedom, vector, np.maximum(error, np.nan_to_num(across)), error)
+    hidden = values("hidden") > 0.0
+    line = Line(amplitude, error, freedom, vector, np.maximum(error, np.nan_to_num(across)), error, hidden)
     return line if phases else line.without_phasor
 
 

@@ -67,7 +67,7 @@ LEAK_LEFT = 0.01
 """Share of what a line leaks into the bins beside that cannot be taken off."""
 
 
-_ON_BIN_NAMES = [f"coherent_{name}" if name.startswith("amplitude") else name for name in OrderRows._fields]
+ON_BIN_NAMES = [f"coherent_{name}" if name.startswith("amplitude") else name for name in OrderRows._fields]
 """Variables of the map that stand for the fields of OrderRows."""
 
 BAND_HELD = 0.5
@@ -191,7 +191,7 @@ class TrackReader:
         if not 0 <= nearest < len(self._axis):
             return OrderRows.nothing(self.order_map.sizes["channel"], len(self.map_rpm))
         if self._is_on_bin(order):
-            return OrderRows(*(self.order_map[name].values[..., nearest] for name in _ON_BIN_NAMES))
+            return OrderRows(*(self.order_map[name].values[..., nearest] for name in ON_BIN_NAMES))
         close = [other / self._step for other in self._close(order, others)[1]]
         return self._between_bins(order / self._step, close, nearest)
 

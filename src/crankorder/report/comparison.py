@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 from crankorder.channel_units import unit_text
-from crankorder.comparison import FIRING, PROGRAM, REPEATS, Comparison, OrderChangeRecord, Trend, UnbalanceRecord
+from crankorder.comparison import (
+    FIRING,
+    PROGRAM,
+    REPEATS,
+    Cause,
+    Comparison,
+    ModeShift,
+    OrderChangeRecord,
+    Trend,
+    UnbalanceRecord,
+)
+from crankorder.identify.compared import NUMBERS as MODE_SHIFTS
+from crankorder.identify.mass_change import NUMBERS as MASS_CHANGE
 from crankorder.identify.order_changes import TREND_NUMBERS as TREND
 from crankorder.plot.reading import (
     at_speed,
@@ -19,6 +32,7 @@ from crankorder.plot.reading import (
     number_text,
     order_text,
     short,
+    with_interval,
 )
 from crankorder.records import known
 from crankorder.report.sentences.story import Answer, Story
@@ -62,9 +76,7 @@ def trend_verdict(trend: Trend) -> str:
 
 def _headline(comparison: Comparison) -> list[str]:
     """The few sentences that matter most, the cause first."""
-    sentences = [_cause_sentence(comparison)]
-    if comparison.cause.cause == "natural frequencies":
-        sentences += _mode_sentences(comparison)[:2]
+    sentences = _cause_sentences(comparison)
     sentences += [
         f"The first test was {confound.base}, the second {confound.new}: what combustion changes is no change of the "
         "build."
@@ -75,15 +87,66 @@ def _headline(comparison: Comparison) -> list[str]:
     if 0 < len(left_out) < len(comparison.channels):
         shown = left_out[:_MANY] + [f"{len(left_out) - _MANY} more"] * (len(left_out) > _MANY)
         sentences.append(f"Not compared: {listed(shown)}; the confounds say why.")
-    return list(dict.fromkeys([*sentences, *_mass_sentences(comparison), *_growth_sentences(comparison)[:1]]))
+    return list(dict.fromkeys([
+        *sentences, *_mass_sentences(comparison), *_growth_sentences(comparison)[:1], *_undecided_sentences(comparison),
+        *_kept_sentences(comparison),
+    ]))  # fmt: skip
+
+
+def builds_headline(tests: Mapping[str, Comparison], alone: Sequence[str]) -> list[str]:
+    """The conclusion over ``tests``, by name, of two builds: each thing that changed once, and where it was seen.
+
+    ``alone`` are the names of tests without a partner.
+    """
+    seen = dict[str, list[tuple[float, str, str]]]()
+    both = [(mode, name) for name, test in tests.items() for mode in test.modes if mode.only_in is None]
+    last, key = 0.0, ""
+    for mode, name in sorted(both, key=lambda pair: pair[0].frequency_hz):
+        if mode.frequency_hz > (1.0 + MODE_SHIFTS.least_reach) * last:  # else the same as the one before
+            key = f"mode {mode.frequency_hz}"
+        last, (low, high) = mode.frequency_hz, known(mode.shift_hz_ci95) or (-math.inf, math.inf)
+        seen.setdefault(key, []).append((high - low, name, _mode_sentence(mode) if mode.changed else ""))
+    for name, test in tests.items():
+        cause = test.cause.besides or test.cause.cause
+        if cause not in ("natural frequencies", "nothing changed", "not comparable"):
+            kind = cause if cause in ("gain", "growing line") else "orders"
+            best = _best_unbalance(test) if cause == "unbalance" else None
+            width = best.factor_ci95[1] - best.factor_ci95[0] if best else 1e3 / max(len(test.speeds), 1)
+            seen.setdefault(kind, []).append((width, name, _cause_sentence(test, cause)))
+    sentences, undecided = list[str](), list[str]()
+    for claims in seen.values():
+        (_, best_test, best_sentence), claimed = min(claims), [claim for claim in claims if claim[2]]
+        names = list(dict.fromkeys(name for _, name, _ in claimed))
+        every = f"all {len(tests)} tests" if len(tests) > 2 else "both tests"
+        where = f"seen in {every if len(names) == len(tests) > 1 else listed(names, most=_MANY)}"
+        if best_sentence:
+            sentences.append(f"{best_sentence.rstrip('.')} ({where}).")
+        elif claimed:
+            said = min(claimed)[2].rstrip(".")
+            undecided.append(
+                f"Not decided: {said} ({where}), but {best_test}, which tells it best, does not show that."
+            )
+    whole = [name for name, test in tests.items() if test.comparable]
+    if whole and not sentences:
+        certain = "No change is certain" if undecided else "Nothing that was compared changed by more than chance"
+        sentences.append(f"{certain} in {listed(whole, most=_MANY)}.")
+    sentences += undecided
+    if refused := [name for name in tests if name not in whole]:
+        sentences.append(f"Not comparable: {listed(refused, most=_MANY)}.")
+    if alone:
+        sentences.append(f"Without a partner, and not compared: {listed(list(alone), most=_MANY)}.")
+    return sentences
 
 
 def comparison_story(comparison: Comparison) -> Story:
     """What changed, why, how sure and what to do, from a ``comparison``; the cause itself stands in the headline."""
     return Story(
-        what=[*_order_sentences(comparison), *_mode_sentences(comparison), *_growth_sentences(comparison)],
+        what=[
+            *_mode_sentences(comparison), *_order_sentences(comparison), *_growth_sentences(comparison),
+            *_kept_sentences(comparison),
+        ],
         why=[
-            _cause_sentence(comparison), *_law_sentences(comparison), *_mass_sentences(comparison),
+            *_cause_sentences(comparison), *_law_sentences(comparison), *_mass_sentences(comparison),
             *_balance_sentences(comparison),
         ],
         how_sure=_how_sure(comparison),
@@ -97,9 +160,51 @@ def _best_unbalance(comparison: Comparison) -> UnbalanceRecord | None:
     return min(explaining, key=lambda record: record.factor_ci95[1] - record.factor_ci95[0], default=None)
 
 
-def _cause_sentence(comparison: Comparison) -> str:
-    """What explains the changes."""
-    cause, orders = comparison.cause.cause, comparison.cause.orders
+def _cause_sentences(comparison: Comparison) -> list[str]:
+    """What explains the changes: natural frequencies that moved first, what orders follow from them, and what else."""
+    cause = comparison.cause
+    if cause.cause != "natural frequencies":
+        return [_cause_sentence(comparison, cause.cause)]
+    followed = sorted({record.order for record in comparison.orders if record.by_modes_hz})
+    sentences = _mode_sentences(comparison)[:2]
+    if followed:
+        sentences.append(f"The change of {_orders_text(followed)} follows from that.")
+    if cause.besides:
+        besides = _cause_sentence(comparison, cause.besides)
+        return [*sentences, f"Beyond that, {besides[:1].lower()}{besides[1:]}"]
+    return sentences + ["No order changed beyond that."] * bool(comparison.orders)
+
+
+def _undecided_sentences(comparison: Comparison) -> list[str]:
+    """At which speeds lines of one frequency may hide a change of which orders."""
+    hidden = dict[tuple[str, float], set[float]]()
+    for record in comparison.orders:
+        if record.undecided_rpm:
+            hidden.setdefault((record.hidden_by or "lines close by", record.order), set()).update(record.undecided_rpm)
+    by_name = dict[str, list[str]]()
+    for (name, order), speeds in sorted(hidden.items()):
+        places = listed([f"{rpm:.0f}" for rpm in sorted(speeds)], most=_FEW)
+        by_name.setdefault(short(name), []).append(f"order {order_text(order)} at {places} rpm")
+    return [f"Not decided ({name}): {listed(texts, most=_MANY)}." for name, texts in by_name.items()]
+
+
+def _kept_sentences(comparison: Comparison) -> list[str]:
+    """What was compared and did not change, beside something that did."""
+    changed = {record.order for record in comparison.orders if record.changed}
+    orders = sorted({record.order for record in comparison.orders} - changed)
+    modes = [mode for mode in comparison.modes if mode.only_in is None]
+    kept = [mode.frequency_hz for mode in modes if not mode.changed]
+    if not changed and len(kept) == len(modes):
+        return []
+    shown = f"{len(orders)} orders" if len(orders) > _MANY else _orders_text(orders) if orders else ""
+    others = "1 natural frequency" if len(kept) == 1 else f"{len(kept)} natural frequencies" if kept else ""
+    texts = [text for text in (shown, others) if text]
+    return [f"No change beyond chance: {listed(texts)}."] if texts else []
+
+
+def _cause_sentence(comparison: Comparison, cause: Cause) -> str:
+    """What ``cause`` explains of the changes."""
+    orders = comparison.cause.orders
     best = _best_unbalance(comparison)
     if cause == "not comparable":
         return (
@@ -111,9 +216,8 @@ def _cause_sentence(comparison: Comparison) -> str:
         return _unchanged(comparison)
     if cause == "growing line":
         return _growth_sentences(comparison)[0]
-    if cause == "natural frequencies":
-        none = "No order changed; natural" if comparison.orders else "Natural"
-        return f"{none} frequencies or their damping changed: the structure or its mounting did."
+    if cause == "gain":
+        return _gain_sentence(comparison)
     if cause == "unbalance" and best is not None:
         became, explains = f"The unbalance {_became(best)}", "a balance weight explains it"
         if best.n_speeds == 1:
@@ -135,6 +239,16 @@ def _cause_sentence(comparison: Comparison) -> str:
     return f"{_capital(listed(parts))}; no other order changed.{unexplained}"
 
 
+def _gain_sentence(comparison: Comparison) -> str:
+    """Sentence on the channel whose orders all changed by one factor."""
+    channel = next(channel for channel in comparison.channels if channel.gain)
+    change = 100.0 * ((channel.gain or 1.0) - 1.0)
+    low, high = (abs(100.0 * (end - 1.0)) for end in known(channel.gain_ci95) or (math.nan, math.nan))
+    percent = with_interval(abs(change), sorted((low, high)), unit="%")
+    more = "more" if change > 0 else "less"
+    return f"{short(channel.name)} reads {percent} {more} at all orders and speeds: sensor or gain, not the machine."
+
+
 def _unchanged(comparison: Comparison) -> str:
     """Sentence on what was compared without a significant change, and what was not compared."""
     of_both = any(mode.only_in is None for mode in comparison.modes)
@@ -149,7 +263,8 @@ def _unchanged(comparison: Comparison) -> str:
 
 def _turned(comparison: Comparison) -> bool:
     """Whether orders changed, all of them by their phases alone, with no unbalance that explains it."""
-    return comparison.cause.cause == "orders" and all(r.phase_only for r in comparison.orders if r.changed)
+    own = [record for record in comparison.orders if record.order in comparison.cause.orders]
+    return comparison.cause.cause == "orders" and all(record.phase_only for record in own if record.changed)
 
 
 def _moving_masses(comparison: Comparison) -> str:
@@ -172,11 +287,16 @@ def _ratio_of(comparison: Comparison, order: float) -> tuple[str, OrderChangeRec
     clear = [
         (ends[1] - ends[0], record)
         for record in comparison.orders
-        if record.changed and record.order == order
+        if record.changed and record.order == order and _is_alike(record)
         and (ends := known(record.ratio_db_ci95)) and not ends[0] <= 0 <= ends[1]
     ]  # fmt: skip
     verbs = {_verb(record) for _, record in clear}
     return (verbs.pop(), min(clear, key=lambda pair: pair[0])[1]) if len(verbs) == 1 else ("changed", None)
+
+
+def _is_alike(record: OrderChangeRecord) -> bool:
+    """Whether one factor holds at all speeds."""
+    return record.alike_p is None or record.alike_p >= MASS_CHANGE.fit_chance
 
 
 def _verb(record: OrderChangeRecord) -> str:
@@ -192,7 +312,7 @@ def _became(unbalance: UnbalanceRecord) -> str:
     (low, high), ends = unbalance.factor_ci95, known(unbalance.turned_deg_ci95)
     verb = "fell to" if high < 1 else "rose to" if low > 1 else "kept its size but turned:"
     turned = f", turned by {estimate_text(unbalance, 'turned_deg')}°" if ends and not ends[0] <= 0 <= ends[1] else ""
-    return f"{verb} {estimate_text(unbalance, 'factor')} of what it was{turned}"
+    return f"{verb} {estimate_text(unbalance, 'factor')} times what it was{turned}"
 
 
 def _order_sentences(comparison: Comparison) -> list[str]:
@@ -214,7 +334,10 @@ def _order_sentence(record: OrderChangeRecord) -> str:
     if record.phase_only:
         return f"{name} turned its phase; its amplitude went {from_to}."
     ends = known(record.ratio_ci95)
-    if record.ratio is None or (ends and ends[0] <= 1 <= ends[1]):
+    if record.by_modes_hz:
+        shifted = listed([frequency_text(hertz) for hertz in record.by_modes_hz])
+        return f"{name} changed {from_to}, which the shift of {shifted} Hz explains."
+    if record.ratio is None or not _is_alike(record) or (ends and ends[0] <= 1 <= ends[1]):
         return f"{name} changed {from_to}: by {estimate_text(record, 'difference', unit=unit)}."
     return f"{name} {_verb(record)} to {_times(record)} (mean of the speeds; {from_to})."
 
@@ -224,13 +347,19 @@ def _times(record: OrderChangeRecord) -> str:
 
 
 def _mode_sentences(comparison: Comparison) -> list[str]:
-    moved = [mode for mode in comparison.modes if mode.changed]
-    sentences = [
-        f"The {frequency_text(mode.frequency_hz)} Hz natural frequency moved by "
-        f"{estimate_text(mode, 'shift_hz', unit='Hz')}, its damping ratio by {estimate_text(mode, 'damping_change')}."
-        for mode in moved[:_MANY]
-    ]
-    return sentences + ([f"{len(moved) - _MANY} more natural frequencies moved."] if len(moved) > _MANY else [])
+    changed = [mode for mode in comparison.modes if mode.changed]
+    sentences = [_mode_sentence(mode) for mode in changed[:_MANY]]
+    return sentences + ([f"{len(changed) - _MANY} more natural frequencies changed."] if len(changed) > _MANY else [])
+
+
+def _mode_sentence(mode: ModeShift) -> str:
+    place = f"{frequency_text(mode.frequency_hz)} Hz natural frequency"
+    if not mode.moved:
+        return f"The damping ratio of the {place} changed by {estimate_text(mode, 'damping_change')}."
+    value, _, ends = estimate_text(mode, "shift_hz", factor=100.0 / mode.frequency_hz).partition(" ")
+    sign = "+" if (mode.shift_hz or 0.0) > 0 else ""
+    new = number_text(mode.new_frequency_hz, digits=4)
+    return f"The {place} moved to {new} Hz ({sign}{value} % {ends}): stiffness or mass changed."
 
 
 def alike(trends: Sequence[Trend]) -> list[list[Trend]]:
@@ -316,7 +445,7 @@ def _how_sure(comparison: Comparison) -> list[str]:
             what = f"{_capital(confound.what)} {short(confound.channel)}".strip()
             values = f"{short(confound.base)} / {short(confound.new)}"
             sentences.append(f"{what} ({values}): {weight}. {_capital(confound.words)}.")
-    return sentences[: _MANY + 2]
+    return [sentences[0], *_undecided_sentences(comparison), *sentences[1 : _MANY + 2]]
 
 
 def _capital(text: str) -> str:

@@ -26,6 +26,7 @@ from crankorder.plot.campbell_figure import level_limits, speed_cells
 from crankorder.plot.labels import mode_style, mode_text
 from crankorder.plot.palette import level_colours
 from crankorder.plot.reading import (
+    at_speed,
     channel_level,
     estimate_text,
     fixed_frequencies,
@@ -33,6 +34,8 @@ from crankorder.plot.reading import (
     interval_of,
     is_number,
     is_whirl,
+    level_text,
+    listed,
     named,
     nominal_order,
     number_text,
@@ -53,6 +56,8 @@ _MOST_PICTURES = 1_800_000  # bytes of PNG in a page, 2.4 MB as text; half of wh
 _SHOWN_SENTENCES = 4  # of a box, so that the four weigh about the same
 _ERROR_CHARACTERS = 400
 _ANSWERS: dict[Answer, str] = {"what": "What shakes", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}
+_SOUND = ("done", "ok", "unchanged", "no change")  # status of a test of an index
+_BEARING, _AVOID = "Failing bearing", "Avoid"  # facts of an index that are trouble
 _MARKED = frozenset({"excited", "suspect", "bad"})
 
 _STEP_DB = 0.005
@@ -135,24 +140,59 @@ def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
 
 
-def index_page(tests: Sequence[Mapping[str, Any]]) -> str:
-    """HTML list of all tests of a run, each with its status, headline and link, and the recordings that failed.
+def index_page(tests: Sequence[Mapping[str, Any]], *, title: str = "", lead: Sequence[str] = ()) -> str:
+    """HTML list of all tests of a run, those in trouble first, each with status, headline, picture, link and failures.
 
-    Each of ``tests`` has ``name``, ``status``, ``headline`` (sentences), ``link`` to its report relative to the index,
-    and ``failed`` (``recording`` and ``error`` of each); missing keys are left out.
+    Each of ``tests`` has ``name``, ``status``, ``headline`` (sentences), ``link`` to its report and ``picture``, both
+    relative to the index, ``facts`` (text by name, of :func:`index_facts`), and ``failed`` (``recording`` and ``error``
+    of each); missing keys are left out. ``title`` heads the page, else the number of tests; ``lead`` are sentences on
+    all tests.
     """
     text = partial(named, limit=_ERROR_CHARACTERS)
-    rows = []
+    rows = list[dict[str, Any]]()
     for test in tests:
-        status, sentences = test.get("status", ""), test.get("headline") or []
+        status, sentences = str(test.get("status", "")), test.get("headline") or []
+        facts = {str(name): text(fact) for name, fact in (test.get("facts") or {}).items() if fact}
         rows.append({
-            "name": short(test.get("name", "")), "status": text(status),
-            "doubtful": status not in ("done", "ok", "unchanged"),
+            "name": short(test.get("name", "")), "status": text(status), "doubtful": status not in _SOUND,
             "headline": [text(sentence) for sentence in ([sentences] if isinstance(sentences, str) else sentences)],
             "link": _beside(link) if (link := test.get("link")) else "",
+            "picture": _beside(picture) if (picture := test.get("picture")) else "", "facts": facts,
             "failed": [(short(failed["recording"]), text(failed["error"])) for failed in test.get("failed") or []],
+            "trouble": (status != "failed", status in _SOUND, _BEARING not in facts, _AVOID not in facts),
         })  # fmt: skip
-    return rendered_page("index.html", tests=rows)
+    rows.sort(key=lambda row: row["trouble"])
+    counts = {
+        "failed": sum(row["status"] == "failed" for row in rows),
+        "with recordings that failed": sum(bool(row["failed"]) for row in rows if row["status"] != "failed"),
+        "with a failing bearing": sum(_BEARING in row["facts"] for row in rows),
+        "with a speed to avoid": sum(_AVOID in row["facts"] for row in rows),
+    }
+    summary = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
+    shown = 1 if not title else 4  # sentences of a test: of two builds all that changed
+    return rendered_page(
+        "index.html", tests=rows, shown=shown, title=text(title), lead=[*map(text, lead)], summary=summary
+    )
+
+
+def index_facts(findings: Findings) -> dict[str, str]:
+    """What an index says of a test by its ``findings``, as text by name; what it has not is left out."""
+    first = {channel.unit for channel in findings.channels[:1]}  # amplitudes in other units are not larger or smaller
+    orders = [record for record in findings.orders if record.unit in first]
+    best = max(orders, key=lambda record: record.amplitude, default=None)
+    damaged = dict.fromkeys(f"{short(record.name)} {record.line}" for record in findings.bearings if record.damage)
+    avoided = list(findings.speeds_to_avoid or ())[:1]
+    ends = known(findings.speed_range_rpm)
+    return {
+        name: fact
+        for name, fact in {
+            _BEARING: listed(list(damaged), most=3),
+            _AVOID: "".join(f"{one.rpm:.0f} rpm (order {order_text(one.order)})" for one in avoided),
+            "Strongest order": f"{order_text(best.order)} in {short(best.channel)}, {level_text(findings, best)}"
+            f"{at_speed(best.speed_rpm_at_max)}" if best else "",
+            "Speeds": f"{'–'.join(dict.fromkeys(f'{end:.0f}' for end in ends))} rpm" if ends else "",
+        }.items() if fact
+    }  # fmt: skip
 
 
 def _beside(path: str) -> str:
