@@ -8,7 +8,7 @@ import pytest
 
 from crankorder.errors import InputError, RequestError
 from crankorder.ingest.check import check_folder
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.recording import recording_of
 from crankorder.quantities import flags_of
@@ -120,7 +120,7 @@ MANIFEST_TOLD = '[sampling]\nrate_hz = 1000.0\n[[channels]]\nname = "a"\nunit = 
 
 def test_whole_numbers_without_a_unit_are_asked_about(tmp_path, manifest_of, settings):
     stored(tmp_path / "a.h5", TONE.astype("i2"), fs=1000.0)
-    assert 'unit = "counts"                   # ? whole numbers without a unit' in draft_manifest(tmp_path)
+    assert 'unit = "counts"                   # ? whole numbers without a unit' in draft_manifests(tmp_path).text
     rows = [
         (TONE.astype("i2"), {}, "m/s2", "", True), (TONE, {}, "g", "", True),
         (TONE.astype("i2"), {}, "counts", "", False), (TONE.astype("i2"), {"units": "m/s2"}, "m/s2", "", False),

@@ -13,7 +13,7 @@ import pytest
 from scipy.io import savemat, wavfile
 
 from crankorder.errors import CrankorderError, InputError, UnsafeInputError
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.formats import FORMATS, TEXT, contents_of, read_file
 from crankorder.ingest.manifest import load_manifest
 from crankorder.scratch import is_on_disk
@@ -111,7 +111,7 @@ def sound(tmp_path_factory, limits):
 def test_one_signal_is_one_recording_in_every_format(tmp_path, read_in, kind):
     made = columns(len(kind))
     WRITERS[kind](tmp_path, made)
-    draft = draft_manifest(tmp_path)
+    draft = draft_manifests(tmp_path).text
     draft = draft.replace("# rate_hz = ", f"rate_hz = {RATE_HZ} #")  # the one thing that an array alone does not say
     (tmp_path / "run.toml").write_text(draft, encoding="utf-8")
     manifest = load_manifest(tmp_path)

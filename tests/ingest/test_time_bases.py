@@ -7,7 +7,7 @@ import pytest
 
 from crankorder.errors import InputError
 from crankorder.ingest.check import check_folder
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_parts, read_recording
 from crankorder.quantities import flags_of
@@ -146,7 +146,7 @@ def test_a_file_of_two_rates_is_drafted_so_that_it_runs(tmp_path, settings, kind
         kind = "speed"
     shaft = speed(50.0, 6.0) if kind == "speed" else tacho(10_000.0, 6.0, name="tacho_pulses")
     WRITERS[form](tmp_path / "a", [vibration("acc", 2000.0, 6.0), vibration("acc_b", 2000.0, 6.0), shaft])
-    (tmp_path / "run.toml").write_text(draft_manifest(tmp_path))
+    (tmp_path / "run.toml").write_text(draft_manifests(tmp_path).text)
     drafted = load_manifest(tmp_path)
     assert (len(drafted.channels), drafted.encoder.kind) == (2, kind), (tmp_path / "run.toml").read_text()
     assert check_folder(tmp_path, settings=settings.ingest) == []
@@ -251,7 +251,7 @@ def test_a_draft_takes_times_with_gaps_for_times_and_no_wheel_from_them(tmp_path
     times, rpm = polled(5)
     signal, tacho = turning(rpm / 60.0 * times, 5)
     columns = {"time_s": times, "acc (m/s2)": signal, "tacho (V)": tacho}
-    draft = draft_manifest(write_table(tmp_path / "a.csv", columns, fmt="%.6f").parent)
+    draft = draft_manifests(write_table(tmp_path / "a.csv", columns, fmt="%.6f").parent).text
     assert 'time_source = "time_s"' in draft and 'source = "acc (m/s2)"' in draft and 'kind = "square"' in draft
     assert not any(line.startswith(("pulses_per_rev", "pattern", "tooth_angles")) for line in draft.splitlines())
 

@@ -72,7 +72,8 @@ _SLOW_UNITS = ("°C", "degC", "deg C", "C", "°F", "degF", "F", "K", "%", "%RH")
 class Column:
     """One column: its ``name`` and ``source``, its ``role``, the unit that the file or its name states, and doubts.
 
-    ``label`` is the name without its unit; ``doubt`` says what a person should decide about it, empty where nothing.
+    ``label`` is the name without its unit; ``doubt`` says what a person should decide about it, empty where nothing,
+    and ``elsewhere`` what other files call the column, where its source is a number because of that.
     ``values`` (samples,) are empty where they were not read; angles are in degrees. ``kind`` is the kind of an encoder,
     and ``wrap`` the value after which an angle or a count starts anew, in its unit, 0 for never.
     """
@@ -86,6 +87,7 @@ class Column:
     values: Floats = field(default_factory=lambda: np.empty(0))
     kind: Kind = ""
     wrap: float = 0.0
+    elsewhere: str = ""
 
     @property
     def quantity(self) -> str:
