@@ -130,7 +130,7 @@ def _likely(found: FoundPattern | None) -> tuple[int, float]:
 
 
 class Draft(NamedTuple):
-    """A draft manifest: its TOML ``text``, the ``path`` that it is meant for, and patterns of the ``files`` it takes."""
+    """A draft manifest: its TOML ``text``, the ``path`` that it is meant for, patterns of the ``files`` it takes."""
 
     path: Path
     text: str
@@ -200,7 +200,7 @@ def draft_manifests(folder: Path) -> Drafts:
 
 
 def _drafted(folder: Path, group: Group, patterns: list[str], part: str) -> str:
-    """Text of the draft for a ``group`` in ``folder``, whose files have the ``patterns``; ``part`` names it, if at all."""
+    """Text of the draft for a ``group`` in ``folder``, whose files have the ``patterns``; ``part`` may name it."""
     columns, wheel, pulses, speeds = group.columns, group.wheel, group.pulses, _speeds(group.files)
     contents, path = group.files[0]
     if pulses is None:
