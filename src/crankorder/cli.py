@@ -511,8 +511,10 @@ def balance(
     made = balance_of(engine, max_order=max_order, speeds_rpm=speeds)
     if out is not None:
         _tell(*publish_balance(made, out, report=report))
-    text = document_text(made) if as_json else table_text(made).removesuffix("\n")
-    _tell(*text.split("\n"), err=False)
+    if as_json:
+        click.echo(document_text(made))
+    else:
+        _tell(*table_text(made).removesuffix("\n").split("\n"), err=False)
 
 
 @main.command()

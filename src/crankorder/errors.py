@@ -42,7 +42,7 @@ class CrankorderError(Exception):
         if self.found:
             text += f"; found {self.found}"
         if self.allowed:
-            text += f"; allowed: {self.allowed}"
+            text += f"; allowed: {printable(self.allowed, 4 * LONGEST_PROBLEM)}"
         return f"{text}. {printable(self.remedy, LONGEST_PROBLEM)}".rstrip() if self.remedy else f"{text}."
 
     def __reduce__(self) -> tuple[object, ...]:
