@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from crankorder.errors import InputError, printable
+from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, flag, names_of
 from crankorder.ingest.units import known_unit, unit_in_label
@@ -255,6 +255,9 @@ def last_line_flags(path: Path) -> list[QualityFlag]:
 
 
 _BANNER_ROWS = 50
+_TEXT_PART = re.compile(r"(?i)(?!.*worksheets/).*\.(xml|rels)")
+_MOST_TEXT = 50_000_000
+"""Bytes of each part of a workbook that is no sheet: a sheet of numbers has names and units, and no other text."""
 _UNPACKED = 10
 """Bytes of numbers for each byte of a workbook, as a rule at most."""
 
@@ -294,11 +297,20 @@ def read_xlsx(path: Path, *, sources: Sequence[Source], settings: IngestSettings
 def _rows(parser: Any, path: Path, settings: IngestSettings) -> Iterator[Row]:
     """Values of the rows of the first sheet, "" for an empty cell.
 
-    What the archive claims to hold is checked against ``settings`` before it is unpacked; a claim of rows beyond the
-    last that a sheet can have takes more memory than the process has.
+    What the archive claims to hold is checked against ``settings`` before it is unpacked, and the parts that hold text
+    for all sheets, which the parser keeps in memory, against a limit of their own; a claim of rows beyond the last that
+    a sheet can have takes more memory than the process has.
     """
     with zipfile.ZipFile(path) as archive:
         check_budget(sum(item.file_size for item in archive.infolist()), settings)
+        for part in (item for item in archive.infolist() if _TEXT_PART.fullmatch(item.filename)):
+            if part.file_size > _MOST_TEXT:
+                problem, found = "too much text for a sheet of numbers", f"{part.file_size} bytes"
+                allowed, remedy = f"{_MOST_TEXT} bytes", "Save the sheet of the numbers alone in a workbook of its own"
+                raise UnsafeInputError(problem, place=part.filename, found=found, allowed=allowed, remedy=remedy)
+            with archive.open(part) as stream:
+                while stream.read(_HEAD_BYTES):  # raises where the part is longer than it claims
+                    pass
     sheet = parser.from_path(path).get_sheet_by_index(0)
     if sheet.start is None:
         return
