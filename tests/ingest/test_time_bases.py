@@ -1,5 +1,6 @@
 """Columns of one file with rates and starts of their own: angle, speed and signals at one time belong together."""
 
+import re
 from functools import partial
 
 import numpy as np
@@ -254,6 +255,26 @@ def test_a_draft_takes_times_with_gaps_for_times_and_no_wheel_from_them(tmp_path
     draft = draft_manifests(write_table(tmp_path / "a.csv", columns, fmt="%.6f").parent).text
     assert 'time_source = "time_s"' in draft and 'source = "acc (m/s2)"' in draft and 'kind = "square"' in draft
     assert not any(line.startswith(("pulses_per_rev", "pattern", "tooth_angles")) for line in draft.splitlines())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_times_that_nothing_asks_for_agree_with_the_stated_rate_or_the_file_is_refused(tmp_path, read_in, seed):
+    rng = np.random.default_rng(seed)
+    rate_hz, n = float(rng.integers(500, 50_000)), int(rng.integers(500, 3000))
+    name, unit = [("Time [s]", 1.0), ("t_ms", 1e-3), ("time", 1e-3), ("Zeit [ms]", 1e-3)][seed]
+    for off in (1.0, float(rng.choice([0.5, 0.99, 1.01, 2.0]))):
+        for jitter in (0.0, 0.3):
+            times = (np.arange(n) + jitter * rng.uniform(-1.0, 1.0, n)) / rate_hz / unit
+            write_table(tmp_path / "a.csv", {name: times, "acc": rng.standard_normal(n)}, fmt="%.12g")
+            more = {"sampling": {"rate_hz": off * rate_hz}, "encoder": {"kind": "constant", "speed_rpm": 900.0}}
+            (tmp_path / "run.toml").write_text(manifest("a.csv", channels={"acc": {"source": "acc"}}, **more))
+            if off == 1.0 or jitter:
+                assert read_in(tmp_path / "a.csv").attrs["rate_hz"] == off * rate_hz
+                continue
+            said = rf"a\.csv: the sampling rate is \S+ Hz in the file, {off * rate_hz:.12g} Hz in the manifest"
+            with pytest.raises(InputError, match=said):
+                read_in(tmp_path / "a.csv")
+            assert re.search(said, crankorder("check", tmp_path).output)
 
 
 def turns_of_buffers(seed, blocks):
