@@ -60,7 +60,7 @@ def located(file: object, place: str = "") -> Iterator[None]:
     try:
         yield
     except CrankorderError as error:
-        if error.file:
+        if error.file or isinstance(error, ManyErrors):  # each of many names its own
             raise
         keywords = {key: getattr(error, key) for key in ("found", "allowed", "remedy")}
         raise type(error)(error.problem, file=file, place=error.place or place, **keywords) from None

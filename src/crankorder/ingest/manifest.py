@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field, PrivateAttr, ValidationError
 from pydantic import field_validator as field_check
 
 from crankorder.engine.machine_parts import AddedMass, Bearing, Motor, StatedPath, bearing_orders, stated
-from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, told
+from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, located, told
 from crankorder.ingest.channel import Channel, Limit, Rotor, channel_faults, limit_faults
 from crankorder.ingest.encoder_table import (
     NAMED_PART,
@@ -355,13 +355,8 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     if found.test.engine is not None:
         from crankorder.engine.definition import load_engine  # heavy
 
-        try:
+        with located(f"{path}:{key_lines(text)['test.engine']}", "test.engine"):
             load_engine(found.test.engine, beside=folder)
-        except RequestError as error:
-            if error.file or isinstance(error, ManyErrors):
-                raise
-            error.place = "test.engine"
-            raise _refusal([error], 1, path, text) from None
     return found.model_copy(update={"transfer_paths": paths}).of_folder(folder)
 
 
