@@ -211,29 +211,25 @@ def test_recordings_that_differ_in_format_columns_units_or_wheel_have_drafts_of_
         pulses = (time_s * 20.0 * teeth % 1.0 < 0.5) & (np.floor(time_s * 20.0 * teeth) % teeth < teeth - 2)
         signal = "other [g]" if kind == "name" else f"acc [{'m/s2' if kind == 'unit' else 'g'}]"
         for run in range(int(rng.integers(1, 4))):
-            path = (
-                tmp_path
-                / f"{number if seed % 2 else run}_{run if seed % 2 else number}{'.h5' if kind == 'format' else '.csv'}"
-            )
+            path = tmp_path / "_".join(f"{number} {run}".split()[:: 1 - 2 * (seed % 2)])
             columns = {signal: rng.standard_normal(time_s.size), "crank": pulses.astype(float)}
             if kind == "format":
-                write_hdf5(path, columns, rate_hz=8000.0)
+                path = write_hdf5(path.with_suffix(".h5"), columns, rate_hz=8000.0)
             else:
-                write_table(path, {"time [s]": time_s} | columns)
+                path = write_table(path.with_suffix(".csv"), {"time [s]": time_s} | columns)
             groups.setdefault((kind, signal, teeth), []).append(path)
     (tmp_path / "broken.pdf").write_bytes(b"%PDF")
     write_table(tmp_path / "notes.txt", {"run": np.arange(3.0), "load": np.arange(3.0)})
     drafts = save_drafts(tmp_path)
     assert [Path(reason.split(": ")[0]).name for reason in drafts.passed] == ["broken.pdf", "notes.txt"]
-    found = {}
+    manifests = [load_manifest(tmp_path, draft.path) for draft in drafts.all]
+    found = [recordings_of(tmp_path, manifest).paths for manifest in manifests]
+    assert sorted(map(sorted, found)) == sorted(map(sorted, groups.values()))
+    stated = {(manifest.channels[0].file_source, manifest.encoder.pulses_per_rev) for manifest in manifests}
+    assert stated == {(signal, teeth) for _, signal, teeth in groups}
     for draft in drafts.all:
-        manifest = load_manifest(tmp_path, draft.path)
-        (channel,) = manifest.channels
-        paths = recordings_of(tmp_path, manifest).paths
-        found[str(channel.file_source), paths[0].suffix, channel.unit, manifest.encoder.pulses_per_rev] = paths
         assert check_folder(tmp_path, draft.path, settings=load_settings().ingest) == []
-    assert sorted(map(sorted, found.values())) == sorted(map(sorted, groups.values()))
-    assert len({load_manifest(tmp_path, draft.path).test.name for draft in drafts.all}) == len(groups)
+    assert len({manifest.test.name for manifest in manifests}) == len(groups)
 
 
 def test_a_column_that_is_bound_to_its_place_is_asked_about_with_what_files_call_it(tmp_path):

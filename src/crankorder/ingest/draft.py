@@ -185,9 +185,8 @@ def draft_manifests(folder: Path) -> Drafts:
     # notes beside the recordings may read as tables too
     notes = [g for g in groups if g is not main and not g.tells_time and g.n_bytes < main.n_bytes]
     groups = [group for group in groups if group not in notes]
-    passed = [str(fault) for fault in faults]
-    for path in (path for group in notes for _, path in group.files):
-        passed.append(f"{path}: a table without time, angle or rate: taken for notes; draft it in a folder of its own")
+    why = "a table without time, angle or rate, taken for notes: draft it in a folder of its own"
+    passed = [*map(str, faults), *(f"{path}: {why}" for group in notes for _, path in group.files)]
     drafts = []
     for number, group in enumerate(groups, start=1):
         kind = re.sub(r"\W", "", group.files[0][1].suffix) or "file"
@@ -211,13 +210,10 @@ def _drafted(folder: Path, group: Group, patterns: list[str], part: str) -> str:
         beside = (column.used_as("unused", doubt) if column.role in own else column for column in columns.all)
         columns = replace(columns, all=tuple(beside))
         encoder = _pulse_file(pulses, speeds.get(path.name))
-    lines = ["# Draft by `crankorder init`: decide what stands behind `# ?`."]
-    if part:
-        lines.append(
-            f"# For some of the recordings: `crankorder run FOLDER --manifest FOLDER/run-{part}.toml --out OUT`."
-        )
-    lines += [
-        "schema_version = 1\n\n[test]",
+    how = f"# Some of the recordings: `crankorder run FOLDER --manifest FOLDER/run-{part}.toml --out OUT`.\n"
+    lines = [
+        "# Draft by `crankorder init`: decide what stands behind `# ?`.",
+        f"{how if part else ''}schema_version = 1\n\n[test]",
         f"name = {_text(' '.join([folder.resolve().name, *part.split()]))}",
         *_cycle(columns, path, knows_shaft=encoder is not NO_ENCODER),
         '# engine = "…"                    # a shipped engine, or a TOML file here: its forces are then known',
