@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 ReportOptions = Mapping[str, object]
 FOLDER = click.Path(path_type=Path)
 DEMO_SCENE = "thesis-second-motoring"
+MOST_CHARACTERS = 20_000  # of a line
 MAX_SPEED_RPM = 1e6  # beyond any crankshaft; a typing error, not an engine
 
 
@@ -59,7 +60,7 @@ def _guarded() -> Iterator[None]:
     except KeyboardInterrupt:
         _fail("interrupted; run the same command again: an analysis keeps its finished tests", 130)
     except PermissionError as error:
-        _fail(f"{printable(error.filename)}: no permission. Choose another folder or change its rights.", 5)
+        _fail(f"{error.filename}: no permission. Choose another folder or change its rights.", 5)
     except MemoryError:
         _fail("not enough memory; analyse fewer recordings at a time (--jobs 1)", 5)
     except BrokenPipeError:
@@ -67,17 +68,23 @@ def _guarded() -> Iterator[None]:
     except OSError as error:
         with contextlib.suppress(OSError, ValueError):  # what still waits for stdout could not be written either
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        where = "standard output" if error.filename is None else printable(error.filename)
-        _fail(f"{where}: {error.strerror or printable(error)}. Free space, or choose another place.", 5)
+        where = "standard output" if error.filename is None else error.filename
+        _fail(f"{where}: {error.strerror or error}. Free space, or choose another place.", 5)
     except RuntimeError as error:
         if "ymlink loop" not in str(error):  # pathlib's words, up to Python 3.12
             raise
-        _fail(f"{printable(error)}: a link that leads to itself. Give the folder that it should lead to.", 2)
+        _fail(f"{error}: a link that leads to itself. Give the folder that it should lead to.", 2)
 
 
 def _fail(message: str, status: int) -> NoReturn:
-    click.echo(f"crankorder: {message}", err=True)
+    _tell(*f"crankorder: {message}".split("\n"))
     sys.exit(status)
+
+
+def _tell(*lines: object, err: bool = True) -> None:
+    """Print ``lines``, which may quote names of any characters, on stderr, or on stdout unless ``err``."""
+    for line in lines:
+        click.echo(printable(line, MOST_CHARACTERS), err=err)
 
 
 def _open_streams() -> None:
@@ -186,12 +193,9 @@ def _picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Relative amplitude error that the numerics may add, 1e-12 to 0.1: the cheapest method that meets it.",
 )  # fmt: skip
 @click.option(
-    "--max-memory",
-    "max_memory_mb",
-    type=click.IntRange(0),
-    metavar="MB",
+    "--max-memory", "max_memory_mb", type=click.IntRange(0), metavar="MB",
     help="Memory for the samples of one recording; a larger one is streamed through a file in TMPDIR or /var/tmp.",
-)
+)  # fmt: skip
 @click.option("--fresh", is_flag=True, help="Recompute even what is finished and unchanged.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done; write nothing.")
 @click.option(
@@ -245,14 +249,12 @@ def run(
     planned = plan_tests(list(folders), out, **asked)
     plans = planned.tests if shard is None else [share_of(plan, shard) for plan in planned.tests]
     for fault in planned.refused:
-        click.echo(f"crankorder: not analysed: {fault}", err=True)
+        _tell(f"crankorder: not analysed: {fault}")
     if dry_run:
         for plan in plans:
             size = sum(path.stat().st_size for path in plan.recordings)
-            shown = f"{len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {printable(plan.out)}"
-            click.echo(f"{printable(plan.name)}: {shown}")
-            for fault in plan.faults:
-                click.echo(f"  {fault}", err=True)
+            _tell(f"{plan.name}: {len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {plan.out}", err=False)
+            _tell(*(f"  {fault}" for fault in plan.faults))
         sys.exit(3 if planned.refused else 0)
     options = RunOptions(
         jobs=jobs, fresh=fresh and not reduce, strict=strict, timeout_s=timeout_s, keep_only=shard is not None,
@@ -284,14 +286,9 @@ def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, 
         gc.freeze()  # nor is what was loaded ever garbage: looking through it costs 0.2 s while kernels load
         gc.enable()
         outcomes = run_plans(
-            plans,
-            out,
-            options,
-            reporting=reporting,
-            watched=lambda name: _progress(quiet, name),
-            tell=lambda outcome: _say(outcome, quiet, verbose),
-            wait=lambda text: click.echo(f"crankorder: {text}", err=True),
-        )
+            plans, out, options, reporting=reporting, watched=lambda name: _progress(quiet, name),
+            tell=lambda outcome: _say(outcome, quiet, verbose), wait=lambda text: _tell(f"crankorder: {text}"),
+        )  # fmt: skip
     finally:
         gc.enable()
         reporting.close()
@@ -310,8 +307,8 @@ def _prune(plans: list[Any], out: Path, keep_mb: float, quiet: bool) -> None:
 
     left = prune([FrameStore.of(plan.out).folder for plan in plans], most_bytes=1e6 * keep_mb)[2]
     if left and not quiet:
-        kept = f"{left / 1e6:.3g} MB in {printable(out / STORE)} spare a further run the computing"
-        click.echo(f"{kept} (less: --keep-frames MB, none: crankorder clean)", err=True)
+        kept = f"{left / 1e6:.3g} MB in {out / STORE} spare a further run the computing"
+        _tell(f"{kept} (less: --keep-frames MB, none: crankorder clean)")
 
 
 def _started(plans: list[Any], jobs: int) -> ReportingProcess:
@@ -330,33 +327,30 @@ def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
     from crankorder.report.sentences.story import headline
 
     name = printable(outcome.plan.name)
-    for said in (*outcome.faults, *outcome.notes):
-        click.echo(f"crankorder: {name}: {said}", err=True)
+    _tell(*(f"crankorder: {name}: {said}" for said in (*outcome.faults, *outcome.notes)))
     alike: dict[str, list[BaseException]] = {}
     for error in outcome.internal:
         alike.setdefault(f"{type(error).__name__}: {error}", []).append(error)
     for error_text, errors in alike.items():
         count = f" ({len(errors)} recordings)" if len(errors) > 1 else ""
-        click.echo(f"crankorder: {name}: internal fault{count}: {printable(error_text, 1000)}", err=True)
+        _tell(f"crankorder: {name}: internal fault{count}: {printable(error_text, 1000)}")
         if verbose:
-            click.echo("".join(traceback.format_exception(errors[0])), err=True)
+            _tell(*"".join(traceback.format_exception(errors[0])).split("\n"))
     if quiet:
         return
     if outcome.findings is not None:
-        for sentence in headline(outcome.findings):
-            click.echo(sentence, err=True)
+        _tell(*headline(outcome.findings))
     if outcome.status == "kept":
-        click.echo(f"{name}: {len(outcome.plan.recordings)} recordings kept for --reduce", err=True)
+        _tell(f"{name}: {len(outcome.plan.recordings)} recordings kept for --reduce")
     elif outcome.status != "failed":
         note = "unchanged, kept" if outcome.kept else "done"
-        click.echo(f"{name}: {note}: {printable(outcome.plan.out / 'report.html', 1000)}", err=True)
+        _tell(f"{name}: {note}: {outcome.plan.out / 'report.html'}")
     if verbose:
         if outcome.accuracy:
-            click.echo(f"  {outcome.accuracy}", err=True)
+            _tell(f"  {outcome.accuracy}")
         if outcome.reused:
-            click.echo(f"  {outcome.reused} of {len(outcome.plan.recordings)} recordings as kept before", err=True)
-        for name, seconds in outcome.seconds.items():
-            click.echo(f"  {name}: {seconds:.2f} s", err=True)
+            _tell(f"  {outcome.reused} of {len(outcome.plan.recordings)} recordings as kept before")
+        _tell(*(f"  {stage}: {seconds:.2f} s" for stage, seconds in outcome.seconds.items()))
 
 
 @contextlib.contextmanager
@@ -365,7 +359,7 @@ def _progress(quiet: bool, label: str) -> Iterator[Callable[[str, int, int], Non
     if quiet or not sys.stderr.isatty():
         yield lambda _, done, total: None
         return
-    with click.progressbar(length=1, label=label, file=sys.stderr) as bar:
+    with click.progressbar(length=1, label=printable(label), file=sys.stderr) as bar:
 
         def update(_: str, done: int, total: int) -> None:
             bar.length = total
@@ -387,8 +381,7 @@ def check(folders: tuple[Path, ...], manifest: Path | None, jobs: int) -> None:
         # only a right manifest is worth the time of heavy imports
         wrong = manifest_faults(folder, manifest)
         found, usable = (wrong, 0) if wrong else _look_at(folder, manifest, jobs)
-        for fault in found:
-            click.echo(f"crankorder: {fault}", err=True)
+        _tell(*(f"crankorder: {fault}" for fault in found))
         worst = max((fault.exit_status for fault in found), default=0)
         statuses.append(4 if worst == 3 and not usable else worst)
     # as `run`: 4 only where nothing at all can be used
@@ -401,14 +394,12 @@ def _look_at(folder: Path, manifest: Path | None, jobs: int) -> tuple[list[Crank
 
     found = look_at(folder, manifest, jobs=jobs)
     for look in found.looks:
-        click.echo(printable(look.line, 400))
-        for remark in look.remarks:
-            click.echo(f"    {printable(remark, 400)}")
+        _tell(printable(look.line, 400), *(f"    {printable(remark, 400)}" for remark in look.remarks), err=False)
     if not found.faults:
         doubts = sum(bool(look.remarks) for look in found.looks)
         also = f"; {doubts} of {len(found.looks)} recordings have doubtful places" if doubts else ""
         read = f" in the {percent(found.share)} that was read" if found.looks else ""
-        click.echo(f"{printable(folder)}: no fault found{read}{also}", err=True)
+        _tell(f"{folder}: no fault found{read}{also}")
     return found.faults, len(found.looks)
 
 
@@ -416,14 +407,21 @@ def _look_at(folder: Path, manifest: Path | None, jobs: int) -> tuple[list[Crank
 @click.argument("folder", type=FOLDER)
 @click.option("--save", is_flag=True, help="Write FOLDER/run.toml, or one into each folder of recordings in FOLDER.")
 def init(folder: Path, save: bool) -> None:
-    """Draft run.toml from what the files say: printed, or with --save written where no manifest is yet."""
-    from crankorder.ingest.draft import draft_manifest, save_drafts
+    """Draft run.toml from what the files say: printed, or with --save written where no manifest is yet.
 
-    if not save:
-        click.echo(draft_manifest(folder), nl=False)
-        return
-    for path in save_drafts(folder):
-        click.echo(f"{printable(path)}: draft written; decide what stands behind `# ?`", err=True)
+    Recordings that differ in format, columns, units or wheel get manifests of their own, each run with --manifest.
+    """
+    from crankorder.ingest.draft import draft_manifests, save_drafts
+    from crankorder.ingest.rawfile import listed
+
+    drafts = save_drafts(folder) if save else draft_manifests(folder)
+    for draft in drafts.all:
+        if not save:
+            click.echo(draft.text, nl=False)
+        done = "draft written" if save else "draft"
+        how = "" if draft.path.name == "run.toml" else f"; run it with --manifest {draft.path}"
+        _tell(f"{draft.path}: {done} for {listed(draft.files, 5)}; decide what stands behind `# ?`{how}")
+    _tell(*(f"passed over: {reason}" for reason in drafts.passed))
 
 
 @main.command()
@@ -436,8 +434,7 @@ def accuracy(out: Path, on: Path | None, draws: int) -> None:
 
     paths, text = publish_accuracy(out, on=on, draws=draws)
     click.echo(text, nl=False)
-    for path in paths:
-        click.echo(str(path), err=True)
+    _tell(*paths)
 
 
 @main.command()
@@ -451,7 +448,7 @@ def clean(out: Path, days: float) -> None:
 
     count, size, left = prune([out / STORE], unused_s=86400 * days)
     stays = f"; {left / 1e6:.1f} MB used since then stay" if left else ""
-    click.echo(f"{printable(out)}: {count} files, {size / 1e6:.1f} MB removed{stays}", err=True)
+    _tell(f"{out}: {count} files, {size / 1e6:.1f} MB removed{stays}")
 
 
 @main.command()
@@ -462,7 +459,7 @@ def report(results: tuple[Path, ...], report: ReportOptions) -> None:
     from crankorder.batch.publish import redraw
 
     for result in results:
-        click.echo(str(redraw(result, report=report)))
+        _tell(redraw(result, report=report), err=False)
 
 
 @main.command()
@@ -488,15 +485,15 @@ def compare(
     results = compare_results(base, new, q=q)
     for path in publish_comparison(results, out, report=report):
         if not quiet:
-            click.echo(str(path), err=True)
+            _tell(path)
     if as_json:
         click.echo(document_text(results), nl=False)
     elif not quiet:
-        click.echo("\n".join(results.document.headline))
+        _tell(*results.document.headline, err=False)
     if not results.document.comparable:
-        click.echo(f"crankorder: {results.document.headline[0]}", err=True)
+        _tell(f"crankorder: {results.document.headline[0]}")
         for confound in (c for c in results.document.confounds if c.severity == "invalid"):
-            click.echo(f"crankorder: not comparable: {confound.what}: {confound.words}", err=True)
+            _tell(f"crankorder: not comparable: {confound.what}: {confound.words}")
         sys.exit(4)
 
 
@@ -515,8 +512,7 @@ def export(result: Path, to: str, binary: bool, out: Path) -> None:
     """
     from crankorder.batch.publish import export_results
 
-    for path in export_results(result, out, to=to, binary=binary):
-        click.echo(str(path))
+    _tell(*export_results(result, out, to=to, binary=binary), err=False)
 
 
 @main.command()
@@ -524,35 +520,23 @@ def export(result: Path, to: str, binary: bool, out: Path) -> None:
 @_as_json
 @click.option("--out", type=FOLDER, help="Folder for balance.json, pictures and balance.nc; made if missing.")
 @click.option(
-    "--speed",
-    "speeds",
-    metavar="RPM",
-    multiple=True,
-    type=click.FloatRange(0, MAX_SPEED_RPM, min_open=True),
+    "--speed", "speeds_rpm", metavar="RPM", multiple=True, type=click.FloatRange(0, MAX_SPEED_RPM, min_open=True),
     help="Crank speed at which forces are given; repeat it for more. [default: those of the engine file]",
-)
-@click.option(
-    "--max-order", type=click.IntRange(4, 1000), default=8, show_default=True, help="Highest order in the tables."
-)
+)  # fmt: skip
+@click.option("--max-order", type=click.IntRange(4, 1000), default=8, show_default=True, help="Highest order of all.")
 @click.option("--all", "whole", is_flag=True, help="Every table too, not one screen.")
 @_picture_options
-def balance(
-    engine: str,
-    as_json: bool,
-    out: Path | None,
-    speeds: tuple[float, ...],
-    max_order: int,
-    whole: bool,
-    report: ReportOptions,
-) -> None:
+def balance(engine: str, as_json: bool, out: Path | None, whole: bool, report: ReportOptions, **asked: Any) -> None:
     """Predict forces by order, balance strategies, shafts and residuals of ENGINE, a shipped name or a TOML file."""
     from crankorder.batch.balance import balance_of, document_text, publish_balance, table_text
 
-    made = balance_of(engine, max_order=max_order, speeds_rpm=speeds)
+    made = balance_of(engine, **asked)
     if out is not None:
-        for path in publish_balance(made, out, report=report):
-            click.echo(str(path), err=True)
-    click.echo(document_text(made) if as_json else table_text(made, whole=whole), nl=as_json)
+        _tell(*publish_balance(made, out, report=report))
+    if as_json:
+        click.echo(document_text(made))
+    else:
+        _tell(*table_text(made, whole=whole).removesuffix("\n").split("\n"), err=False)
 
 
 @main.command()
@@ -562,8 +546,7 @@ def balance(
 @_quiet
 def synth(scene: str, out: Path, quick: bool, quiet: bool) -> None:
     """Write a test-run folder, with the truth in truth.json."""
-    for folder in _synthesise(scene, out, quick, quiet):
-        click.echo(str(folder))
+    _tell(*_synthesise(scene, out, quick, quiet), err=False)
 
 
 def _synthesise(scene: str, out: Path, quick: bool, quiet: bool) -> list[Path]:
@@ -585,13 +568,12 @@ def demo(out: Path, quick: bool, jobs: int, as_json: bool, quiet: bool, verbose:
 
     recordings = out / "recordings"
     if not quiet:
-        click.echo(f"synthesising the campaign into {recordings} …", err=True)
+        _tell(f"synthesising the campaign into {recordings} …")
     _synthesise(DEMO_SCENE, recordings, quick, quiet)
     plans = plan_tests([recordings], out / "results").tests
     status = _run_plans(plans, out / "results", RunOptions(jobs=jobs), as_json, quiet, verbose)
     if status == 0 and not as_json:
-        for picture in sorted(plans[0].out.glob("*.png")):
-            click.echo(str(picture))
+        _tell(*sorted(plans[0].out.glob("*.png")), err=False)
     sys.exit(status)
 
 

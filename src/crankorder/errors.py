@@ -42,7 +42,7 @@ class CrankorderError(Exception):
         if self.found:
             text += f"; found {self.found}"
         if self.allowed:
-            text += f"; allowed: {self.allowed}"
+            text += f"; allowed: {printable(self.allowed, 4 * LONGEST_PROBLEM)}"
         return f"{text}. {printable(self.remedy, LONGEST_PROBLEM)}".rstrip() if self.remedy else f"{text}."
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -60,7 +60,7 @@ def located(file: object, place: str = "") -> Iterator[None]:
     try:
         yield
     except CrankorderError as error:
-        if error.file:
+        if error.file or isinstance(error, ManyErrors):  # each of many names its own
             raise
         keywords = {key: getattr(error, key) for key in ("found", "allowed", "remedy")}
         raise type(error)(error.problem, file=file, place=error.place or place, **keywords) from None

@@ -8,7 +8,7 @@ import pytest
 
 from crankorder.errors import InputError, RequestError
 from crankorder.ingest.check import check_folder
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.formats import read_file
 from crankorder.ingest.recording import recording_of
 from crankorder.quantities import flags_of
@@ -17,9 +17,30 @@ from made.recordings import manifest, write_hdf5
 
 MANIFEST = manifest(
     channels={"Z": {"source": "acc"}},
-    recordings={"files": ["*.h5", "absent.h5", "../out.h5"], "speed_rpm": {"good.h6": 1000}},
+    recordings={"files": ["*.h5", "absent.h5"], "speed_rpm": {"good.h6": 1000}},
     sampling={"rate_hz": 1000},
 )
+
+
+REFUSED = {
+    "test.engine: no such engine; found none; allowed: ": MANIFEST.replace("cycle", 'engine = "none"\ncycle'),
+    "e.toml: ": MANIFEST.replace("cycle", 'engine = "e.toml"\ncycle'),
+    "recordings.files.0: files outside the folder of the test are not read; found '../": MANIFEST.replace(
+        "*.h5", "../*"
+    ),
+}
+
+
+def test_a_manifest_that_names_what_is_not_there_is_refused_by_check_and_run_before_anything_is_read(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "e.toml").write_text("x = 1\n")
+    recorded(folder / "a.h5", acc=np.arange(10.0))
+    for said, text in REFUSED.items():
+        (folder / "run.toml").write_text(text)
+        for command in (["check"], ["run", "--dry-run", "--out", tmp_path / "out"], ["run", "--out", tmp_path / "out"]):
+            outcome = crankorder(*command, folder)
+            assert outcome.exit_code == 2 and said in outcome.output and not (tmp_path / "out").exists()
 
 
 def recorded(path, *, rate=1000.0, unit="m/s2", **columns):
@@ -33,10 +54,11 @@ def test_every_fault_of_a_folder_is_listed_at_once(tmp_path, limits):
     recorded(tmp_path / "channel.h5", a1=np.arange(10.0))
     recorded(tmp_path / "unit.h5", acc=np.arange(10.0), unit="Pa")
     (tmp_path / "text.h5").write_text("1,2\n3,4\n")
+    (tmp_path / "link.h5").symlink_to("/dev/null")
     before = sorted((path.name, path.stat().st_mtime_ns, path.read_bytes()) for path in tmp_path.iterdir())
     text = "\n".join(str(fault) for fault in check_folder(tmp_path, settings=limits))
     for words in (
-        "absent.h5: no such file", "outside the run folder",
+        "absent.h5: no such file", "link.h5: outside the run folder",
         "recordings.speed_rpm.good.h6: a speed is stated for no recording. Did you mean 'good.h5'?",
         "rate.h5: the sampling rate is 1024 Hz in the file, 1000 Hz in the manifest",
         "channel.h5: channel acc not in file; has a1",
@@ -120,7 +142,7 @@ MANIFEST_TOLD = '[sampling]\nrate_hz = 1000.0\n[[channels]]\nname = "a"\nunit = 
 
 def test_whole_numbers_without_a_unit_are_asked_about(tmp_path, manifest_of, settings):
     stored(tmp_path / "a.h5", TONE.astype("i2"), fs=1000.0)
-    assert 'unit = "counts"                   # ? whole numbers without a unit' in draft_manifest(tmp_path)
+    assert 'unit = "counts"                   # ? whole numbers without a unit' in draft_manifests(tmp_path).text
     rows = [
         (TONE.astype("i2"), {}, "m/s2", "", True), (TONE, {}, "g", "", True),
         (TONE.astype("i2"), {}, "counts", "", False), (TONE.astype("i2"), {"units": "m/s2"}, "m/s2", "", False),

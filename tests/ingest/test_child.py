@@ -3,6 +3,8 @@
 import os
 import resource
 import signal
+import subprocess
+import sys
 import time
 import zipfile
 
@@ -67,6 +69,23 @@ def workbook(path, rows):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
         for name, data in parts.items():
             new.writestr(name, data)
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_i11_a_book_of_text_is_refused_in_little_memory_whether_or_not_it_tells_its_size(tmp_path, limits, is_told):
+    path, piece = tmp_path / "bomb.xlsx", b"<si><t>" + b"x" * 999_984 + b"</t></si>"
+    workbook(path, "")
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as book, book.open("xl/sharedStrings.xml", "w") as part:
+        for _ in range(600):
+            part.write(piece)
+    if not is_told:
+        content, size = path.read_bytes(), (600_000_000).to_bytes(4, "little")
+        assert content.count(size) == 2
+        path.write_bytes(content.replace(size, (1_000_000).to_bytes(4, "little")))
+    command = [sys.executable, "-m", "crankorder", "init", tmp_path]
+    with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
+        said, (*_, usage) = process.stderr.read(), os.wait4(process.pid, 0)
+    assert (b"too much text" if is_told else b"Bad CRC-32") in said and usage.ru_maxrss < 500_000  # KiB
 
 
 def test_i11_a_row_beyond_the_last_of_a_sheet_is_refused_by_the_reader_and_by_every_command(tmp_path, limits):

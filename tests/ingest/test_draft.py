@@ -1,28 +1,38 @@
 """``init`` drafts a manifest that reads, and asks for what the files do not say."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from crankorder.errors import NoUsableRecordingError, RequestError
-from crankorder.ingest.draft import draft_manifest, save_drafts, speed_in_name
+from crankorder.ingest.check import check_folder
+from crankorder.ingest.draft import draft_manifests, save_drafts, speed_in_name
+from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import load_manifest
+from crankorder.settings import load_settings
 from made.recordings import write_hdf5, write_table
 
 
 def test_a_draft_is_valid_whatever_the_names_are(tmp_path):
-    for name in ['a"b', "a\\b", "a\nb", "ünïcode 😀", "x\x7f", "]] = 'q'", "\x1b[31m"]:
-        write_hdf5(tmp_path / "a.h5", {name: np.arange(10.0)}, rate_hz=1000.0)
-        assert saved_draft(tmp_path)[1].channels[0].name == name
+    odd = [*map(chr, (*range(1, 32), *range(0x7F, 0xA1), 0xAD, *range(0x2028, 0x202F), 0x2066, 0xFEFF, 0xE0001))]
+    for number, name in enumerate(['a"b', "a\\b", "ünïcode 😀", "]] = 'q'", "\x1b[31m", *odd]):
+        folder = tmp_path / (f"{number}{name}" if "/" not in name else "x")
+        folder.mkdir()
+        write_hdf5(folder / "a.h5", {f"a{name}": np.arange(10.0)}, rate_hz=1000.0)
+        text, manifest = saved_draft(folder)
+        assert manifest.channels[0].name == f"a{name}" and manifest.test.name == folder.name
+        assert all(line.isprintable() for line in text.split("\n"))
 
 
 def test_nothing_to_draft_from_says_what_was_found(tmp_path):
     with pytest.raises(NoUsableRecordingError, match=r"no recording found; looked for HDF5.*found an empty folder"):
-        draft_manifest(tmp_path)
+        draft_manifests(tmp_path)
     (tmp_path / "a.tdms").write_bytes(b"TDSm\0\0")
     with pytest.raises(NoUsableRecordingError, match=r"a\.tdms: "):
-        draft_manifest(tmp_path)
+        draft_manifests(tmp_path)
     with pytest.raises(RequestError, match="there is no such folder"):
-        draft_manifest(tmp_path / "absent")
+        draft_manifests(tmp_path / "absent")
 
 
 def drafted(folder, **columns):
@@ -70,7 +80,7 @@ SIGNAL_NAMES = {"Acc_Mount_Z (g)": "g", "a1 [m/s^2]": "m/s2", "Vib X (mm/s)": "m
 
 
 def saved_draft(folder):
-    text = draft_manifest(folder)
+    text = draft_manifests(folder).text
     (folder / "run.toml").write_text(text, encoding="utf-8")
     return text, load_manifest(folder)
 
@@ -133,12 +143,15 @@ def test_speeds_of_names_are_drafted_where_every_file_has_one(tmp_path):
 def test_two_rates_of_one_file_are_told_and_none_is_taken(tmp_path, settings):
     write_hdf5(tmp_path / "a.h5", {"acc": np.arange(100.0)}, fs=5000.0, dt=1e-3)
     with pytest.raises(NoUsableRecordingError, match=r"two sampling rates are stated; found fs: 5000 Hz, dt: 1000 Hz"):
-        draft_manifest(tmp_path)
+        draft_manifests(tmp_path)
 
 
 def test_a_list_of_edges_or_of_times_is_drafted_without_channels(tmp_path):
     write_table(tmp_path / "a.csv", {"crank_edge_time_s": np.cumsum(np.linspace(2.4e-3, 1.1e-3, 2000))})
-    assert 'kind = "pulse_times"' in draft_manifest(tmp_path) and "[[channels]]" not in draft_manifest(tmp_path)
+    assert (
+        'kind = "pulse_times"' in draft_manifests(tmp_path).text
+        and "[[channels]]" not in draft_manifests(tmp_path).text
+    )
     for named in [True, False]:
         teeth_s = np.arange(0, 4, 1 / 720)[np.arange(2880) % 36 < 34]
         rows = [line for at in teeth_s for line in (f"{at:.7f},1", f"{at + 3e-4:.7f},0")]
@@ -167,12 +180,12 @@ def test_drafts_are_saved_into_each_folder_of_recordings_and_over_none(tmp_path)
         write_table(tmp_path / name / "a.csv", {"Time [s]": time_s, "acc [g]": np.sin(time_s)})
     (tmp_path / "notes").mkdir()
     with pytest.raises(RequestError, match=r"in 2 folders of this one: build A, build B.*--save"):
-        draft_manifest(tmp_path)
-    written = save_drafts(tmp_path)
+        draft_manifests(tmp_path)
+    written = [draft.path for draft in save_drafts(tmp_path).all]
     assert [path.parent.name for path in written] == ["build A", "build B"]
     written[0].write_text("mine")
     written[1].unlink()
-    assert save_drafts(tmp_path) == [written[1]]
+    assert [draft.path for draft in save_drafts(tmp_path).all] == [written[1]]
     assert written[0].read_text() == "mine"
     with pytest.raises(RequestError, match="there is a manifest already"):
         save_drafts(tmp_path)
@@ -183,6 +196,46 @@ def test_recordings_in_a_folder_beside_others_are_asked_about(tmp_path):
     for name in ("x.csv", "b/x.csv", "notes/read.me", "done/y.csv", "done/run.toml"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         write_table(tmp_path / name, {"time_s": 1e-3 * np.arange(64), "acc_g": np.sin(0.3 * np.arange(64))})
-    [line] = [line for line in draft_manifest(tmp_path).splitlines() if line.startswith("files")]
+    [line] = [line for line in draft_manifests(tmp_path).text.splitlines() if line.startswith("files")]
     assert line.split("#")[0].strip() == 'files = ["*.csv"]'
     assert '# ? there are more in b: "*/*.csv" beside it takes them too' in line
+
+
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("seed", range(8))
+def test_recordings_that_differ_in_format_columns_units_or_wheel_have_drafts_of_their_own(tmp_path, seed):
+    rng, groups = np.random.default_rng(seed), {}
+    time_s = np.arange(24_000) / 8000.0
+    for number, kind in enumerate(rng.permutation(["plain", "unit", "name", "wheel", "format"])[: 2 + seed % 4]):
+        teeth = 24 if kind == "wheel" else 36
+        pulses = (time_s * 20.0 * teeth % 1.0 < 0.5) & (np.floor(time_s * 20.0 * teeth) % teeth < teeth - 2)
+        signal = "other [g]" if kind == "name" else f"acc [{'m/s2' if kind == 'unit' else 'g'}]"
+        for run in range(int(rng.integers(1, 4))):
+            path = tmp_path / "_".join(f"{number} {run}".split()[:: 1 - 2 * (seed % 2)])
+            columns = {signal: rng.standard_normal(time_s.size), "crank": pulses.astype(float)}
+            if kind == "format":
+                path = write_hdf5(path.with_suffix(".h5"), columns, rate_hz=8000.0)
+            else:
+                path = write_table(path.with_suffix(".csv"), {"time [s]": time_s} | columns)
+            groups.setdefault((kind, signal, teeth), []).append(path)
+    (tmp_path / "broken.pdf").write_bytes(b"%PDF")
+    write_table(tmp_path / "notes.txt", {"run": np.arange(3.0), "load": np.arange(3.0)})
+    drafts = save_drafts(tmp_path)
+    assert [Path(reason.split(": ")[0]).name for reason in drafts.passed] == ["broken.pdf", "notes.txt"]
+    manifests = [load_manifest(tmp_path, draft.path) for draft in drafts.all]
+    found = [recordings_of(tmp_path, manifest).paths for manifest in manifests]
+    assert sorted(map(sorted, found)) == sorted(map(sorted, groups.values()))
+    stated = {(manifest.channels[0].file_source, manifest.encoder.pulses_per_rev) for manifest in manifests}
+    assert stated == {(signal, teeth) for _, signal, teeth in groups}
+    for draft in drafts.all:
+        assert check_folder(tmp_path, draft.path, settings=load_settings().ingest) == []
+    assert len({manifest.test.name for manifest in manifests}) == len(groups)
+
+
+def test_a_column_that_is_bound_to_its_place_is_asked_about_with_what_files_call_it(tmp_path):
+    for name in "12":
+        columns = {"time [s]": np.arange(900) / 1000.0, f"acc{name}": np.random.default_rng(0).standard_normal(900)}
+        write_table(tmp_path / f"{name}.csv", columns)
+    text, manifest = saved_draft(tmp_path)
+    assert manifest.channels[0].source == 1
+    assert '# ? column 1: "acc1" in 1.csv, "acc2" in 2.csv' in text

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from crankorder.errors import InputError
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.manifest import load_manifest, parts_of
 from crankorder.quantities import flags_of
 from crankorder.synth.write import toml_text
@@ -207,7 +207,7 @@ NAMES = [
 @pytest.mark.parametrize(("samples", "events"), NAMES)
 def test_a_draft_pairs_recordings_with_the_files_of_their_pulses(tmp_path, samples, events):
     folder = folder_of(tmp_path / "hall", samples, events)
-    text = draft_manifest(folder)
+    text = draft_manifests(folder).text
     (folder / "run.toml").write_text(text, encoding="utf-8")
     drafted = load_manifest(folder)
     assert drafted.encoder.kind == "pulse_times" and drafted.encoder.source == "timestamp_us"
@@ -230,7 +230,7 @@ def test_a_draft_takes_no_slow_recording_for_pulses(tmp_path, other):
         slow = 85.0 + 0.1 * np.random.default_rng(seed).standard_normal(us.size)
         columns = {"temperature": {"oil": slow}, "speed": {"rpm": rpm + slow}, "later": {"turns": np.arange(us.size)}}
         write_table(folder / f"slow_{run}.csv", {"timestamp_us": us} | columns[other], fmt="%.16g")
-    assert "file = " not in draft_manifest(folder)
+    assert "file = " not in draft_manifests(folder).text
 
 
 def test_parts_of_names_are_any_number_and_may_come_again():

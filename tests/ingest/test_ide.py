@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import InputError
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.formats import contents_of, read_file
 from crankorder.ingest.manifest import load_manifest
 from ingest.test_formats_alike import check_mutations
@@ -39,7 +39,7 @@ def test_all_channels_are_those_of_the_formats_own_library(path, limits):
 
 def test_a_draft_names_one_sensor_and_can_be_run(path, tmp_path, read_in):
     (tmp_path / path.name).write_bytes(path.read_bytes())
-    (tmp_path / "run.toml").write_text(draft_manifest(tmp_path), encoding="utf-8")
+    (tmp_path / "run.toml").write_text(draft_manifests(tmp_path).text, encoding="utf-8")
     manifest = load_manifest(tmp_path)
     assert [(channel.name, channel.unit) for channel in manifest.channels] == [
         (f"Acceleration: {axis}", "g") for axis in "XYZ"

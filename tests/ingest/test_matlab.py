@@ -10,7 +10,7 @@ import scipy.io
 
 from crankorder.errors import InputError, UnsafeInputError
 from crankorder.ingest.check import check_folder
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.formats import contents_of, read_file
 from made.recordings import manifest
 
@@ -163,7 +163,7 @@ def test_a_constant_speed_is_that_which_the_file_states(saved, tmp_path, setting
 def test_a_draft_names_what_each_file_calls_otherwise_by_what_they_share(saved, tmp_path, settings):
     saved(name="a.mat", X1_DE_time=np.arange(50.0), X1RPM=1750)
     saved(name="b.mat", X2_DE_time=np.arange(60.0), X2RPM=1751)
-    text = draft_manifest(tmp_path)
+    text = draft_manifests(tmp_path).text
     assert 'source = "*_DE_time"' in text
     assert 'kind = "constant"\nsource = "*RPM"' in text
     assert "# Single numbers in the file, such as a speed: X1RPM" in text

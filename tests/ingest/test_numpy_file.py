@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import InputError, UnsafeInputError
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.formats import contents_of, read_file
 
 
@@ -69,7 +69,7 @@ def test_a_draft_takes_the_array_and_not_the_notes_beside_it(saved, tmp_path):
     saved(np.zeros((500, 2)))
     for name in ("grid.txt", "nodes.txt"):
         (tmp_path / name).write_text("node x\n1 2\n3 4\n")
-    text = draft_manifest(tmp_path)
+    text = draft_manifests(tmp_path).text
     assert 'files = ["*.npy"]' in text
     assert "# rate_hz = " in text
     assert text.count("[[channels]]") == 2

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import InputError
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.stages import shaft as shaft_stage
@@ -62,7 +62,7 @@ def test_a_position_tells_the_angle_with_every_sample(tmp_path, settings, read_i
     wrong = np.random.default_rng(counts).integers(20, TIME_S.size - 20, 3)
     position[wrong] = [0.0, position.max(), np.floor(position.mean())]
     path = written(tmp_path, position, label, unit, signal_of(turns))
-    text = draft_manifest(tmp_path).replace("# pulses_per_rev = 4096 ", f"pulses_per_rev = {counts}")
+    text = draft_manifests(tmp_path).text.replace("# pulses_per_rev = 4096 ", f"pulses_per_rev = {counts}")
     (tmp_path / "run.toml").write_text(text)
     shaft = shaft_angle(read_in(path), settings=settings.shaft)
     at = TIME_S[20:-20]
@@ -110,7 +110,7 @@ ROW = np.arange(TIME_S.size)
 )  # fmt: skip
 def test_a_counter_of_samples_takes_no_part(tmp_path, name, values):
     written(tmp_path, values.astype(float), name, "", signal_of(turns_of(15, 33)))
-    text = draft_manifest(tmp_path)
+    text = draft_manifests(tmp_path).text
     assert re.search(r"^\[encoder\]", text, re.M) is None
     assert f'column "{name}" is left out' in text
     assert text.count("[[channels]]") == 1
@@ -122,7 +122,7 @@ def test_short_dips_are_pulses(tmp_path, high, low, noise, name):
     turns = turns_of(15, 33)
     trace = np.where(turns % 1.0 < 0.06, low, high) + noise * np.random.default_rng(3).standard_normal(turns.size)
     written(tmp_path, trace, name, "V", signal_of(turns))
-    text = draft_manifest(tmp_path)
+    text = draft_manifests(tmp_path).text
     assert f'source = "{name} (V)"' in text[text.index("\n[encoder]") :]
     assert re.search(r'^kind = "square"', text, re.M)
     assert 'edge = "falling"' in text
@@ -132,7 +132,7 @@ def test_short_dips_are_pulses(tmp_path, high, low, noise, name):
 def test_a_speed_in_a_name_is_held_against_the_speed_found(tmp_path, settings, read_in, name):
     path = written(tmp_path, ROW.astype(float), "sequence_num", "", signal_of(turns_of(7.53, 7.53)))
     path = path.rename(tmp_path / f"{name}.csv")
-    text = draft_manifest(tmp_path)
+    text = draft_manifests(tmp_path).text
     assert f'"{name}.csv" = 452' in text
     for rpm, told in ((60, not name.startswith("n")), (470, False)):
         (tmp_path / "run.toml").write_text(text.replace("= 452 ", f"= {rpm} "))
@@ -172,7 +172,7 @@ def test_a_manifest_that_contradicts_the_files_angles_is_refused_and_a_right_one
     start = -360.0 if seed == 1 else float(rng.integers(0, per_rev)) * 360.0 / per_rev
     angle = (start + np.arange(12 * per_rev) * 360.0 / per_rev + 360.0) % 720.0 - 360.0
     write(tmp_path, angle, 10.0 + np.cos(np.deg2rad(angle)) + 0.01 * rng.standard_normal(angle.size))
-    text = draft_manifest(tmp_path).replace('cycle = "rotor"', 'cycle = "four-stroke"')
+    text = draft_manifests(tmp_path).text.replace('cycle = "rotor"', 'cycle = "four-stroke"')
     assert ("the angle runs over two revolutions" in text) == (write is not as_mdf4)  # whose angle grows
 
     def read(text):

@@ -1,5 +1,6 @@
 """Columns of one file with rates and starts of their own: angle, speed and signals at one time belong together."""
 
+import re
 from functools import partial
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from crankorder.errors import InputError
 from crankorder.ingest.check import check_folder
-from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_parts, read_recording
 from crankorder.quantities import flags_of
@@ -146,7 +147,7 @@ def test_a_file_of_two_rates_is_drafted_so_that_it_runs(tmp_path, settings, kind
         kind = "speed"
     shaft = speed(50.0, 6.0) if kind == "speed" else tacho(10_000.0, 6.0, name="tacho_pulses")
     WRITERS[form](tmp_path / "a", [vibration("acc", 2000.0, 6.0), vibration("acc_b", 2000.0, 6.0), shaft])
-    (tmp_path / "run.toml").write_text(draft_manifest(tmp_path))
+    (tmp_path / "run.toml").write_text(draft_manifests(tmp_path).text)
     drafted = load_manifest(tmp_path)
     assert (len(drafted.channels), drafted.encoder.kind) == (2, kind), (tmp_path / "run.toml").read_text()
     assert check_folder(tmp_path, settings=settings.ingest) == []
@@ -251,9 +252,29 @@ def test_a_draft_takes_times_with_gaps_for_times_and_no_wheel_from_them(tmp_path
     times, rpm = polled(5)
     signal, tacho = turning(rpm / 60.0 * times, 5)
     columns = {"time_s": times, "acc (m/s2)": signal, "tacho (V)": tacho}
-    draft = draft_manifest(write_table(tmp_path / "a.csv", columns, fmt="%.6f").parent)
+    draft = draft_manifests(write_table(tmp_path / "a.csv", columns, fmt="%.6f").parent).text
     assert 'time_source = "time_s"' in draft and 'source = "acc (m/s2)"' in draft and 'kind = "square"' in draft
     assert not any(line.startswith(("pulses_per_rev", "pattern", "tooth_angles")) for line in draft.splitlines())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_times_that_nothing_asks_for_agree_with_the_stated_rate_or_the_file_is_refused(tmp_path, read_in, seed):
+    rng = np.random.default_rng(seed)
+    rate_hz, n = float(rng.integers(500, 50_000)), int(rng.integers(500, 3000))
+    name, unit = [("Time [s]", 1.0), ("t_ms", 1e-3), ("time", 1e-3), ("Zeit [ms]", 1e-3)][seed]
+    for off in (1.0, float(rng.choice([0.5, 0.99, 1.01, 2.0]))):
+        for jitter in (0.0, 0.3):
+            times = (np.arange(n) + jitter * rng.uniform(-1.0, 1.0, n)) / rate_hz / unit
+            write_table(tmp_path / "a.csv", {name: times, "acc": rng.standard_normal(n)}, fmt="%.12g")
+            more = {"sampling": {"rate_hz": off * rate_hz}, "encoder": {"kind": "constant", "speed_rpm": 900.0}}
+            (tmp_path / "run.toml").write_text(manifest("a.csv", channels={"acc": {"source": "acc"}}, **more))
+            if off == 1.0 or jitter:
+                assert read_in(tmp_path / "a.csv").attrs["rate_hz"] == off * rate_hz
+                continue
+            said = rf"a\.csv: the sampling rate is \S+ Hz in the file, {off * rate_hz:.12g} Hz in the manifest"
+            with pytest.raises(InputError, match=said):
+                read_in(tmp_path / "a.csv")
+            assert re.search(said, crankorder("check", tmp_path).output)
 
 
 def turns_of_buffers(seed, blocks):

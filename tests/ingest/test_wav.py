@@ -142,6 +142,15 @@ def test_a_rate_that_the_byte_rate_contradicts_is_told(read):
     assert told["flag"] == "header_rate_disagrees" and "48000 Hz" in told["detail"] and "44100 Hz" in told["detail"]
 
 
+def test_a_chunk_of_which_one_is_allowed_may_not_come_again(read):
+    chunks = [layout(1, 2, 16), DATA, LEA]
+    for again in (layout(1, 2, 16, 48_000), *chunks):
+        for place in range(len(chunks) + 1):
+            name, both = again[0].decode(), [*chunks[:place], again, *chunks[place:]]
+            with pytest.raises(InputError, match=rf"a\.wav: byte [0-9]+: holds two chunks '{name}'"):
+                read(riff(*both), 0)
+
+
 def test_millions_of_chunks_are_refused_at_once(tmp_path, limits, refused_s):
     seconds = []
     for n_chunks in (20_000, 8_000_000):

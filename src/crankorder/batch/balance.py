@@ -69,8 +69,8 @@ def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ())
 
 
 def document_text(balance: Balance) -> str:
-    """The sheet of ``balance`` as JSON: every digit of a number, so that it can be compared with other programs."""
-    return json.dumps(balance.sheet, ensure_ascii=False, allow_nan=False, indent=2)
+    """The sheet of ``balance`` as ASCII JSON: every digit of a number, to be compared with other programs."""
+    return json.dumps(balance.sheet, allow_nan=False, indent=2)
 
 
 def table_text(balance: Balance, *, whole: bool = False) -> str:

@@ -145,7 +145,11 @@ def file_to_analysed(channel: Channel, file_unit: str, path: Path) -> Scaling:
             factor *= conversion_factor(told, before)
         except RequestError as error:
             problem, found = f"channel {channel.name}: {error.problem}", f"unit {file_unit!r} in the file"
-            raise InputError(problem, file=path, place=place, found=found, remedy=error.remedy) from None
+            allowed, remedy = f"a unit of {before.quantity}", error.remedy
+            if channel.sensitivity is not None:
+                problem += f", which the sensitivity {channel.sensitivity!r} is for"
+                remedy = "Remove the sensitivity where the file holds the measured quantity already, else mend its unit"
+            raise InputError(problem, file=path, place=place, found=found, allowed=allowed, remedy=remedy) from None
     elif file_unit not in STATES_NO_UNIT:
         remark = f"channel {channel.name}: the file states the unit {file_unit!r}; {before.name} is taken"
     offset = 0.0

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import fnmatch
-import json
+import itertools
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +17,7 @@ from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestEr
 from crankorder.ingest.encoder_table import POSITION_KINDS
 from crankorder.ingest.folder import collected, is_companion, is_leftover, natural_key
 from crankorder.ingest.formats import FORMATS, contents_of, read_file
-from crankorder.ingest.manifest import MANIFEST_NAME, manifest_head, manifest_of
+from crankorder.ingest.manifest import MANIFEST_NAME, manifest_head, manifest_of, parts_of
 from crankorder.ingest.rawfile import Contents, Source, listed
 from crankorder.ingest.recording import recording_of
 from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, PulseFiles, Role, angle_step, columns_of, pulse_files
@@ -58,10 +59,15 @@ _COMMON_PULSES = (
     240, 250, 256, 300, 360, 400, 500, 512, 600, 720, 900, 1000, 1024, 1200, 1250, 1440, 1500, 1800, 2000, 2048, 2500,
     3600, 4096,
 )  # fmt: skip
+# bytes of files, beside the first, whose wheels are looked at
+_MOST_LOOKED = 500_000_000
 # of the counts after which a count starts anew, as far as those that were seen may lie off
 _SAME_COUNT = 0.005
 # of a speed that a name states, as far as the true one may lie off
 _NOMINAL = 0.03
+
+
+File = tuple[Contents, Path]
 
 
 class Wheel(NamedTuple):
@@ -77,9 +83,11 @@ def wheel_of(columns: Columns, contents: Contents, path: Path) -> Wheel | None:
     """Wheel of the encoder among ``columns`` of the recording at ``path``, decoded as a run would decode it.
 
     ``contents`` are those of the file. None where no column is an encoder, or its pulses cannot be decoded. A mark that
-    was recognised by the number of its edges counts only where the pulses alone show no wheel.
+    was recognised by the number of its edges counts only where the pulses alone show no wheel; without an encoder it is
+    taken for one.
     """
     encoder, mark, time = (columns.of(role) for role in ("encoder", "index", "time"))
+    encoder = mark.used_as("encoder") if encoder is None and mark is not None else encoder
     if encoder is None or not encoder.kind or encoder.kind in POSITION_KINDS:
         return None
     table = {"source": encoder.source, "kind": encoder.kind} | ({} if mark is None else {"index": mark.source})
@@ -121,36 +129,95 @@ def _likely(found: FoundPattern | None) -> tuple[int, float]:
     return 2 if known else 1, found.agreement
 
 
-def draft_manifest(folder: Path) -> str:
-    """TOML text of a draft manifest for the recordings in ``folder``, taken from what their files say.
+class Draft(NamedTuple):
+    """A draft manifest: its TOML ``text``, the ``path`` that it is meant for, patterns of the ``files`` it takes."""
 
-    It can be run as it is wherever they say enough; what a person should decide stands behind ``# ?``. Raises
-    RequestError where ``folder`` is no folder or holds tests in folders of their own, and NoUsableRecordingError,
-    naming what each file is, where none can be read.
+    path: Path
+    text: str
+    files: list[str]
+
+
+class Drafts(NamedTuple):
+    """The drafts of a folder, and the files in it that none of them takes, each with the reason."""
+
+    all: tuple[Draft, ...]
+    passed: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """All drafts, one below the other."""
+        return "\n".join(draft.text for draft in self.all)
+
+
+class Group(NamedTuple):
+    """Recordings that are alike: contents and path of each, their columns, the wheel of the first, and their pulses.
+
+    ``doubt`` says what was not looked at.
     """
-    pattern, group, pulses = _recordings(folder)
-    contents, path = group[0]
-    columns = columns_of(path, contents, settings=load_settings().ingest)
-    files = [each for each, _ in group]
-    columns = replace(columns, all=tuple(replace(column, source=_source(column, files)) for column in columns.all))
-    speeds = _speeds(group)
+
+    files: list[File]
+    columns: Columns
+    wheel: Wheel | None = None
+    doubt: str = ""
+    pulses: PulseFiles | None = None
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the largest file."""
+        return max(path.stat().st_size for _, path in self.files)
+
+    @property
+    def tells_time(self) -> bool:
+        """Whether rate, time or angle of the samples is told."""
+        return bool(self.files[0][0].rates_hz) or any(c.role in ("time", "angle", "encoder") for c in self.columns.all)
+
+
+def draft_manifests(folder: Path) -> Drafts:
+    """Draft manifests for the recordings in ``folder`` from what their files say: ``run.toml`` where all are alike.
+
+    Files that differ in format, columns, units or wheel have manifests of their own, ``run-1-csv.toml`` and so on, each
+    with the names of its files. A draft can be run as it is wherever files say enough; what a person should decide
+    stands behind ``# ?``. Raises RequestError where ``folder`` is no folder or holds tests in folders of their own, and
+    NoUsableRecordingError, naming what each file is, where none can be read.
+    """
+    groups, faults = _groups(folder)
+    main = max(groups, key=lambda group: group.n_bytes)
+    # notes beside the recordings may read as tables too
+    notes = [g for g in groups if g is not main and not g.tells_time and g.n_bytes < main.n_bytes]
+    groups = [group for group in groups if group not in notes]
+    why = "a table without time, angle or rate, taken for notes: draft it in a folder of its own"
+    passed = [*map(str, faults), *(f"{path}: {why}" for group in notes for _, path in group.files)]
+    drafts = []
+    for number, group in enumerate(groups, start=1):
+        kind = re.sub(r"\W", "", group.files[0][1].suffix) or "file"
+        part = f"{number}-{kind}" if len(groups) > 1 else ""
+        path = folder / (f"run-{part}.toml" if part else MANIFEST_NAME)
+        others = [path.name for other in (*groups, *notes) if other is not group for _, path in other.files]
+        patterns = [group.pulses.recordings] if group.pulses else _patterns(group.files, others)
+        drafts.append(Draft(path, _drafted(folder, group, patterns, part), patterns))
+    return Drafts(tuple(drafts), tuple(passed))
+
+
+def _drafted(folder: Path, group: Group, patterns: list[str], part: str) -> str:
+    """Text of the draft for a ``group`` in ``folder``, whose files have the ``patterns``; ``part`` may name it."""
+    columns, wheel, pulses, speeds = group.columns, group.wheel, group.pulses, _speeds(group.files)
+    contents, path = group.files[0]
     if pulses is None:
-        wheel = wheel_of(columns, contents, path)
         columns = _marks_by_wheel(columns, wheel)
-        if columns.of("encoder") is None and (mark := columns.of("index")) is not None:
-            wheel = wheel_of(Columns((mark.used_as("encoder"), *columns.all)), contents, path)
         encoder = _encoder(columns, wheel, speeds.get(path.name))
     else:
         own, doubt = ("encoder", "index", "cam"), "the pulses stand in files of their own"
         beside = (column.used_as("unused", doubt) if column.role in own else column for column in columns.all)
         columns = replace(columns, all=tuple(beside))
         encoder = _pulse_file(pulses, speeds.get(path.name))
+    how = f"# Some of the recordings: `crankorder run FOLDER --manifest FOLDER/run-{part}.toml --out OUT`.\n"
     lines = [
-        "# Draft by `crankorder init`: decide what stands behind `# ?`.\nschema_version = 1\n\n[test]",
-        f"name = {_text(folder.resolve().name)}",
+        "# Draft by `crankorder init`: decide what stands behind `# ?`.",
+        f"{how if part else ''}schema_version = 1\n\n[test]",
+        f"name = {_text(' '.join([folder.resolve().name, *part.split()]))}",
         *_cycle(columns, path, knows_shaft=encoder is not NO_ENCODER),
         '# engine = "…"                    # a shipped engine, or a TOML file here: its forces are then known',
-        f"\n[recordings]\n{_files(folder, pattern)}\n",
+        f"\n[recordings]\n{_files(folder, patterns, group.doubt)}\n",
         *_sampling(columns, contents),
         *_channels(columns),
         *encoder,
@@ -163,32 +230,46 @@ def draft_manifest(folder: Path) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _files(folder: Path, pattern: str) -> str:
-    """The line that names the recordings; what folders inside of ``folder`` hold beside them is asked about."""
-    line = f"files = [{_text(pattern)}]"
+def _patterns(files: Sequence[File], others: Sequence[str]) -> list[str]:
+    """Patterns that the names of ``files`` fit and no name of the ``others`` does; the names where there is none."""
+    patterns: list[str] = []
+    for suffix in dict.fromkeys(path.suffix for _, path in files):
+        paths = [path for _, path in files if path.suffix == suffix]
+        wide = ["", *([os.path.commonprefix([path.stem for path in paths])] if len(paths) > 1 else [])]  # noqa: RUF071
+        fitting = [f"{head}*{suffix}" for head in wide if not re.search(r"[*?\[\]{}]", head)]
+        own = (pattern for pattern in fitting if not fnmatch.filter(others, pattern))
+        patterns += [pattern] if (pattern := next(own, None)) else [path.name for path in paths]
+    return patterns
+
+
+def _files(folder: Path, patterns: Sequence[str], doubt: str) -> str:
+    """The line that names the recordings; a ``doubt``, and what folders in ``folder`` hold of them, is asked about."""
     inside = [
         printable(path.name, 40)
         for path in sorted(folder.iterdir(), key=natural_key)
         if path.is_dir() and not is_leftover(path.name) and not (path / MANIFEST_NAME).exists()
-        if any(not is_leftover(file.name) and file.is_file() for file in path.glob(pattern))
+        if any(not is_leftover(file.name) and file.is_file() for file in path.glob(patterns[0]))
     ]
-    doubt = f"there are more in {listed(inside, 3)}: {_text(f'*/{pattern}')} beside it takes them too"
-    return _asked(line, doubt if inside else "")
+    more = f"there are more in {listed(inside, 3)}: {_text(f'*/{patterns[0]}')} beside it takes them too"
+    doubts = [doubt, more if inside else ""]
+    return _asked(f"files = [{', '.join(map(_text, patterns))}]", "; ".join(filter(None, doubts)))
 
 
-def save_drafts(folder: Path) -> list[Path]:
-    """Write the draft of ``folder`` as its ``run.toml``, or one into each folder in it that holds recordings.
+def save_drafts(folder: Path) -> Drafts:
+    """Write the drafts of ``folder`` there, or those of each folder in it that holds recordings, and return them.
 
-    Returns the files written; a manifest that is there already stays as it is. Raises what :func:`draft_manifest`
-    raises, and RequestError where there is nothing left to write.
+    A manifest that is there already stays as it is. Raises what :func:`draft_manifests` raises, and RequestError where
+    there is nothing left to write.
     """
     homes = [folder] if not folder.is_dir() or _is_test(folder) else _tests_in(folder) or [folder]
-    written = [path for home in homes if not (path := home / MANIFEST_NAME).exists()]
-    for path in written:
-        path.write_text(draft_manifest(path.parent), encoding="utf-8")
-    if not written:
-        raise RequestError("there is a manifest already", file=homes[0] / MANIFEST_NAME, remedy="Edit it, or remove it")
-    return written
+    every = [draft_manifests(home) for home in homes if not (home / MANIFEST_NAME).exists()]
+    new = tuple(draft for drafts in every for draft in drafts.all if not draft.path.exists())
+    for draft in new:
+        draft.path.write_text(draft.text, encoding="utf-8")
+    if not new:
+        there = next((draft.path for drafts in every for draft in drafts.all), homes[0] / MANIFEST_NAME)
+        raise RequestError("there is a manifest already", file=there, remedy="Edit it, or remove it")
+    return Drafts(new, tuple(reason for drafts in every for reason in drafts.passed))
 
 
 def _is_test(folder: Path) -> bool:
@@ -200,30 +281,26 @@ def _tests_in(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.iterdir(), key=natural_key) if path.is_dir() and _is_test(path)]
 
 
-def _read_all(folder: Path) -> tuple[dict[str, list[tuple[Contents, Path]]], list[CrankorderError]]:
-    """Contents and paths of the readable files of ``folder`` by suffix, and the faults of the others."""
+def _read_all(folder: Path) -> tuple[list[File], list[CrankorderError]]:
+    """Contents and paths of the readable files of ``folder``, and the faults of the others."""
     settings = load_settings().ingest
-    groups: dict[str, list[tuple[Contents, Path]]] = {}
+    files: list[File] = []
     faults: list[CrankorderError] = []
     for path in sorted(folder.iterdir(), key=natural_key):
         is_note = path.suffix.lower() in (".toml", ".md", ".json")
         if is_note or is_leftover(path.name) or is_companion(path.name) or path.is_dir():
             continue
         with collected(faults):
-            contents = contents_of(path, settings=settings)
-            groups.setdefault(path.suffix, []).append((contents, path))
-    return groups, faults
+            files.append((contents_of(path, settings=settings), path))
+    return files, faults
 
 
-def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]], PulseFiles | None]:
-    """Pattern of the recordings, the contents and path of each, and the files of their pulses, where they have such.
-
-    Without those the recordings are the largest group of readable files with one suffix.
-    """
+def _groups(folder: Path) -> tuple[list[Group], list[CrankorderError]]:
+    """The recordings of ``folder`` in groups that are alike, and the faults of files that cannot be read."""
     if not folder.is_dir():
         raise RequestError("there is no such folder", file=folder)
-    groups, faults = _read_all(folder)
-    if not groups:
+    files, faults = _read_all(folder)
+    if not files:
         inside = [] if faults else _tests_in(folder)
         if inside:
             names = listed([printable(path.name, 40) for path in inside], 5)
@@ -236,26 +313,58 @@ def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]], PulseFi
         problem = f"no recording found; looked for {', '.join(known.name for known in FORMATS)} and text files"
         found = "; ".join(map(str, faults[:3])) or "an empty folder"
         raise NoUsableRecordingError(problem, file=folder, found=found)
-    pairs = pulse_files([file for group in groups.values() for file in group])
-    if pairs is not None:
-        return pairs.recordings, pairs.group, pairs
-    # notes beside the recordings may read as tables too: those hold most
-    suffix = max(groups, key=lambda name: sum(path.stat().st_size for _, path in groups[name]))
-    return f"*{suffix}", groups[suffix], None
+    groups: list[Group] = []
+    if (pairs := pulse_files(files)) is not None:
+        groups = [Group(pairs.group, _columns(pairs.group), pulses=pairs)]
+        files = [file for file in files if file not in pairs.group and parts_of(pairs.pulses, file[1].name) is None]
+    alike: dict[tuple[object, ...], list[File]] = {}
+    for contents, path in files:
+        like = ((re.sub(r"[0-9]+", "#", name), contents.units.get(name)) for name in contents.names)
+        alike.setdefault((contents.format, *like), []).append((contents, path))
+    return [*groups, *(group for files in alike.values() for group in _by_wheel(files))], faults
 
 
-def _source(column: Column, files: list[Contents]) -> Source:
-    """Source of a column: its name, or where another file calls it otherwise a pattern or its position."""
-    name = column.name
-    if all(name in contents.names for contents in files):
-        return column.source
+def _by_wheel(files: list[File]) -> list[Group]:
+    """Groups of ``files`` with the same columns by the wheel that each shows; those that show none join the first."""
+    columns, speeds = _columns(files), _speeds(files)
+    sizes = itertools.accumulate(path.stat().st_size for _, path in files[1:])
+    looked = [files[0], *(file for file, size in zip(files[1:], sizes, strict=True) if size <= _MOST_LOOKED)]
+    wheels = {path: wheel_of(columns, contents, path) for contents, path in looked}
+    doubt = f"the pulses of {len(looked)} of {len(files)} files were looked at" if len(looked) < len(files) else ""
+    shown = {path: wheel.found for path, wheel in wheels.items() if wheel and wheel.found}
+    known = {path: found.pattern for path, found in shown.items() if _likely(found)[0] == 2}
+    teeth: dict[Path, object] = {path: pattern.even or pattern.name for path, pattern in known.items()}
+    if not teeth:
+        stated = {path: (wheel.pulses_hz, speeds.get(path.name)) for path, wheel in wheels.items() if wheel}
+        teeth = {path: told for path, pulses in stated.items() if (told := _pulses_per_rev(*pulses))}
+    parts: dict[object, list[File]] = {kind: [] for kind in teeth.values()} or {None: []}
+    for file in sorted(files, key=lambda file: file[1] not in teeth):
+        parts[teeth.get(file[1], next(iter(parts)))].append(file)
+    return [Group(part, columns, wheels.get(part[0][1]), doubt) for part in parts.values()]
+
+
+def _columns(files: Sequence[File]) -> Columns:
+    """Columns of the first of ``files``, with the sources by which all of these have them."""
+    contents, path = files[0]
+    columns = columns_of(path, contents, settings=load_settings().ingest)
+    return replace(columns, all=tuple(_bound(column, files) for column in columns.all))
+
+
+def _bound(column: Column, files: Sequence[File]) -> Column:
+    """``column`` with its source in all ``files``: its name, or where one calls it otherwise a pattern or its place."""
+    every, name = [contents.names for contents, _ in files], column.name
+    if all(name in names for names in every):
+        return column
     word = re.split(r"[0-9]+", name)[-1]
-    if word and all(len(fnmatch.filter(contents.names, f"*{word}")) == 1 for contents in files):
-        return f"*{word}"
-    return files[0].names.index(name)
+    if word and all(len(fnmatch.filter(names, f"*{word}")) == 1 for names in every):
+        return replace(column, source=f"*{word}")
+    place = every[0].index(name)
+    called = {contents.names[place]: path.name for contents, path in reversed(files)}
+    shown = listed([f"{_text(name)} in {file}" for name, file in reversed(called.items())], 3)
+    return replace(column, source=place, elsewhere=f"column {place}: {shown}")
 
 
-def _speeds(group: Sequence[tuple[Contents, Path]]) -> dict[str, tuple[float, str]]:
+def _speeds(group: Sequence[File]) -> dict[str, tuple[float, str]]:
     """Speed in rpm of each file by its name, as the file or its name states it, and which of them; {} unless all do."""
     speeds = {}
     for contents, path in group:
@@ -291,7 +400,7 @@ def _sampling(columns: Columns, contents: Contents) -> list[str]:
         lines += ['domain = "crank_angle"', f"samples_per_rev = {round(360.0 / step_deg)}"]
         lines += [f"start_deg = {angle.values[0]:.9g}"] if angle.values[0] else []
     elif time is not None:
-        lines.append(_asked(f"time_source = {_shown(time.source)}", time.doubt if isinstance(time.source, int) else ""))
+        lines.append(_bound_to("time_source", time, time.doubt if isinstance(time.source, int) else ""))
     elif not contents.rates_hz and columns.channels():
         lines.append(_asked("# rate_hz =", "samples per second, which the file does not say"))
     return [*lines, ""] if len(lines) > 1 else []
@@ -304,7 +413,7 @@ def _channels(columns: Columns) -> list[str]:
         is_spectrum = _SPECTRUM.search(f"{name} {column.name}")
         doubt = "its name speaks of a spectrum: signals by time are read, no spectra" if is_spectrum else ""
         lines += ["[[channels]]", _asked(f"name = {_text(name)}", doubt)]
-        lines += [f"source = {_shown(column.source)}"] if column.source != name else []
+        lines += [_bound_to("source", column)] if column.source != name else []
         lines += _unit(column, first=number == 0)
         if number == 0:
             lines.append(_asked('# direction = "+Z"', "the axis that the sensor looks along; for each channel"))
@@ -338,18 +447,18 @@ def _encoder(columns: Columns, wheel: Wheel | None, stated: tuple[float, str] | 
         return constant_speed if stated else []
     if encoder is not None:
         source, *marks = (
-            _asked(f"{key} = {_shown(column.source)}", column.doubt)
+            _bound_to(key, column, column.doubt)
             for key, column in (("source", encoder), ("index", index), ("cam", columns.of("cam")))
             if column is not None
         )
         told = _position(encoder) if encoder.kind in POSITION_KINDS else _wheel(encoder, wheel, stated)
         return ["[encoder]", source, *told, *marks]
     if index is not None:
-        return ["[encoder]", f"source = {_shown(index.source)}", *_kind(index, wheel), "pulses_per_rev = 1"]
+        return ["[encoder]", _bound_to("source", index), *_kind(index, wheel), "pulses_per_rev = 1"]
     if speed is not None:
-        return ["[encoder]", f"source = {_shown(speed.source)}", 'kind = "speed"']
+        return ["[encoder]", _bound_to("source", speed), 'kind = "speed"']
     if constant is not None:
-        return [*constant_speed, _asked(f"source = {_shown(constant.source)}", "a number, taken as rpm")]
+        return [*constant_speed, _bound_to("source", constant, "a number, taken as rpm")]
     return constant_speed if stated else NO_ENCODER
 
 
@@ -365,7 +474,9 @@ def _pulse_file(pulses: PulseFiles, stated: tuple[float, str] | None) -> list[st
 def _marks_by_wheel(columns: Columns, wheel: Wheel | None) -> Columns:
     """``columns`` with a mark that its edges told as index or cam mark, where the ``wheel`` itself tells a turn."""
     mark = columns.of("index")
-    if mark is None or not mark.doubt or wheel is None or wheel.found is None or not wheel.pulses_hz > 0.0:
+    if mark is None or not mark.doubt or columns.of("encoder") is None:
+        return columns
+    if wheel is None or wheel.found is None or not wheel.pulses_hz > 0.0:
         return columns
     per_rev = wheel.marks_hz / (wheel.pulses_hz / len(wheel.found.pattern.angles_deg))
     role: Role = "index" if abs(per_rev - 1.0) < 0.1 else "cam" if abs(per_rev - 0.5) < 0.1 else "unused"
@@ -438,11 +549,22 @@ def _asked(line: str, doubt: str) -> str:
     return f"{line.ljust(_MARK_COLUMN)}# ? {printable(doubt, 200)}" if doubt else line
 
 
+def _bound_to(key: str, column: Column, doubt: str = "") -> str:
+    """The line that binds ``key`` to a ``column``, with what other files call that, and its ``doubt``."""
+    return _asked(f"{key} = {_shown(column.source)}", "; ".join(filter(None, (column.elsewhere, doubt))))
+
+
 def _shown(source: Source) -> str:
     return str(source) if isinstance(source, int) else _text(source)
 
 
 def _text(value: str) -> str:
-    """``value`` as a TOML basic string."""
+    """``value`` as a TOML basic string, in which nothing but printable characters stands."""
     safe = value.encode("utf-8", "backslashreplace").decode("utf-8")
-    return json.dumps(safe, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return f'"{"".join(map(_character, safe))}"'
+
+
+def _character(char: str) -> str:
+    if char in '"\\':
+        return f"\\{char}"
+    return char if char.isprintable() else f"\\U{ord(char):08X}" if ord(char) > 0xFFFF else f"\\u{ord(char):04X}"

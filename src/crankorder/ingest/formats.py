@@ -25,6 +25,10 @@ _IN_DEWESOFT = "Export it in DewesoftX as MDF4, TDMS, UFF58 or MATLAB"
 _IN_CONCERTO = "Export it in Concerto or IndiCom as MDF4, MATLAB or text"
 _IN_ARTEMIS = "Export it in ArtemiS as UFF58, WAV, MATLAB or text"
 _HEAD_SIGN = rb"(?s)start of data\s*:.*(channel definition|delta value|n(umber|br) of (scans|channels?))"
+# kind of numbers, rows, columns, whether complex, length of the name, name: in either order of bytes
+_MATLAB_4 = (
+    rb"(?s)\A([\0-\x34]\0{3}.{8}[\0\1]\0{3}[\x02-\xff]\0{3}|\0\0[\3\4].{9}\0{3}[\0\1]\0{3}[\x02-\xff])[A-Za-z]\w*\0"
+)
 _UNREAD: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"UnFinMF ", "an MDF4 file that its writer never finished", f"not supported yet. {_EXPORT}"),
     (b"MDF     3", "an MDF3 file", "not supported. Save it as MDF4"),
@@ -48,6 +52,7 @@ _UNREAD: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
 # signs in the head of binary files that have no signature to begin with
 _UNREAD_SIGNS: tuple[tuple[bytes, str, str], ...] = (
     (_HEAD_SIGN, "a HEAD acoustics file", f"not HDF5, not supported. {_IN_ARTEMIS}"),
+    (_MATLAB_4, "a MATLAB 4 file", "not supported. Load it in MATLAB and save it with `save -v7`"),
     (rb"(?i)dewesoft", "a Dewesoft file", f"not supported. {_IN_DEWESOFT}"),
     (rb"(?i)\bAVL\b|\bI-?FILE\b|IndiCom", "an AVL IFile", f"not supported. {_IN_CONCERTO}"),
 )

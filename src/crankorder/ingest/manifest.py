@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field, PrivateAttr, ValidationError
 from pydantic import field_validator as field_check
 
 from crankorder.engine.machine_parts import AddedMass, Bearing, Motor, StatedPath, bearing_orders, stated
-from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, told
+from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, located, told
 from crankorder.ingest.channel import Channel, Limit, Rotor, channel_faults, limit_faults
 from crankorder.ingest.encoder_table import (
     NAMED_PART,
@@ -42,6 +42,8 @@ from crankorder.ingest.units import Unit
 _KEY = r"(?:[\w-]+|\"[^\"]*\"|'[^']*')"
 _HEADER = re.compile(rf"\s*(\[\[?)\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*\]\]?\s*(?:#.*)?")
 _ASSIGNMENT = re.compile(rf"\s*({_KEY}(?:\s*\.\s*{_KEY})*)\s*=")
+
+_OUTSIDE = re.compile(r"\0|^[/\\~]|^[A-Za-z]:[/\\]|(^|[/\\])\.\.([/\\]|$)")
 
 COLUMNS = ("frequency_hz", "real", "imag")
 
@@ -326,7 +328,8 @@ class Manifest(Table):
 def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     """Manifest of the test-run folder ``folder``, read from its ``run.toml`` or from the file ``manifest``.
 
-    Raises ManyErrors listing every fault with key and line, or RequestError where there is no file or no valid TOML.
+    Raises ManyErrors listing every fault with key and line, those of the engine's file too, or RequestError where there
+    is no file or no valid TOML.
     """
     path = folder / MANIFEST_NAME if manifest is None else manifest
     text = _text_of(path, folder)
@@ -349,6 +352,11 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     paths, unread = with_tables(found.transfer_paths, folder)
     if unread:
         raise _refusal(unread[:MOST_TOLD], len(unread), path, text)
+    if found.test.engine is not None:
+        from crankorder.engine.definition import load_engine  # heavy
+
+        with located(f"{path}:{key_lines(text)['test.engine']}", "test.engine"):
+            load_engine(found.test.engine, beside=folder)
     return found.model_copy(update={"transfer_paths": paths}).of_folder(folder)
 
 
@@ -452,6 +460,14 @@ def _cross_faults(manifest: Manifest) -> Iterator[RequestError]:
     # checked here and not by the model, which would count a channel with a fault as none
     if not manifest.recordings.files:
         yield RequestError("the list is empty", place="recordings.files", allowed="1 or more")
+    for number, pattern in enumerate(manifest.recordings.files):
+        if _OUTSIDE.search(pattern):
+            problem, place = "files outside the folder of the test are not read", f"recordings.files.{number}"
+            allowed, remedy = (
+                "names and patterns inside the folder",
+                "Give the folder that holds the files, and --manifest",
+            )
+            yield RequestError(problem, place=place, found=repr(pattern), allowed=allowed, remedy=remedy)
     if not manifest.channels and encoder.kind not in (*TRACE_KINDS, *TIME_KINDS):
         allowed = f"1 or more; none only beside an encoder of kind {', '.join((*TRACE_KINDS, *TIME_KINDS))}"
         yield RequestError("no channel is named", place="channels", allowed=allowed, remedy="Add [[channels]]")

@@ -52,7 +52,7 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
         return recording_of(raw, path, manifest, settings=settings, shaft=shaft)
     check_regular(pulses, path.parent)
     listed = read_file(pulses, sources=_wanted(manifest, of_samples=False), settings=settings)
-    raw = read_file(path, sources=_wanted(manifest, of_shaft=False), settings=settings)
+    raw = read_checked(path, manifest, sources=_wanted(manifest, of_shaft=False), settings=settings)
     return recording_of(raw, path, manifest, settings=settings, shaft=shaft, listed=listed)
 
 

@@ -10,6 +10,7 @@ import itertools
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -18,10 +19,11 @@ import numpy as np
 
 from crankorder.errors import CrankorderError, InputError, UnsafeInputError, printable
 from crankorder.ingest.channel import STATES_NO_UNIT
+from crankorder.ingest.encoder_table import TIME_KINDS
 from crankorder.ingest.formats import contents_of, read_file
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import Contents, RawFile, Source, looks_counted, named
-from crankorder.ingest.sampling import rows_before_zeros
+from crankorder.ingest.sampling import read_time_column, rows_before_zeros
 from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings, load_settings
@@ -72,7 +74,8 @@ _SLOW_UNITS = ("°C", "degC", "deg C", "C", "°F", "degF", "F", "K", "%", "%RH")
 class Column:
     """One column: its ``name`` and ``source``, its ``role``, the unit that the file or its name states, and doubts.
 
-    ``label`` is the name without its unit; ``doubt`` says what a person should decide about it, empty where nothing.
+    ``label`` is the name without its unit; ``doubt`` says what a person should decide about it, empty where nothing,
+    and ``elsewhere`` what other files call the column, where its source is a number because of that.
     ``values`` (samples,) are empty where they were not read; angles are in degrees. ``kind`` is the kind of an encoder,
     and ``wrap`` the value after which an angle or a count starts anew, in its unit, 0 for never.
     """
@@ -86,6 +89,7 @@ class Column:
     values: Floats = field(default_factory=lambda: np.empty(0))
     kind: Kind = ""
     wrap: float = 0.0
+    elsewhere: str = ""
 
     @property
     def quantity(self) -> str:
@@ -289,7 +293,7 @@ def _role(column: Column, *, is_timed: bool) -> Role:
             return "unused"
         return "encoder" if angle_step(values) is None else "angle"
     grows = bool((np.diff(values) > 0.0).all())
-    if (quantity == "time" or (not quantity and _TIME.fullmatch(label))) and grows:
+    if _is_time(column.unit, label) and grows:
         return "time"
     if quantity == "rotational speed" or (not quantity and SPEED_NAME.search(label) and not column.is_binary):
         return "speed"
@@ -310,6 +314,11 @@ def _role(column: Column, *, is_timed: bool) -> Role:
         counted = np.ptp(np.diff(values)) == 0.0 and values[1] - values[0] == 1.0
         return "unused" if counted or is_timed else "time"
     return "channel"
+
+
+def _is_time(unit: Unit | None, label: str) -> bool:
+    """Whether the ``unit``, or without one the ``label``, is that of a time."""
+    return unit.quantity == "time" if unit is not None else _TIME.fullmatch(label) is not None
 
 
 def _bare(name: str) -> str:
@@ -419,12 +428,18 @@ def read_checked(
 ) -> RawFile:
     """Columns of the file at ``path`` that ``sources`` ask for, as ``formats.read_file`` reads them.
 
-    For recordings by crank angle, the columns of angle in the file are compared with ``manifest``; ``settings`` and
-    ``rows`` are those of that function. Raises its errors, and InputError where such a column contradicts.
+    For recordings by crank angle, the columns of angle in the file are compared with ``manifest``; where that states a
+    rate and the file none, even times in a column of it, which nothing asks for, are taken for the file's own rate.
+    ``settings`` and ``rows`` are those of that function. Raises its errors, and InputError where an angle contradicts.
     """
-    if manifest.sampling.domain == "time":
-        return read_file(path, sources=sources, settings=settings, rows=rows)
-    contents = contents_of(path, settings=settings)
+    sampling, contents = manifest.sampling, contents_of(path, settings=settings)
+    if sampling.domain == "time":
+        times = [name for name in contents.names if _is_time(*_unit_and_label(name, contents))]
+        of_pulses = manifest.encoder.kind in TIME_KINDS and manifest.encoder.file is None
+        if not times or contents.rates_hz or not sampling.rate_hz or sampling.time_source is not None or of_pulses:
+            return read_file(path, sources=sources, settings=settings, rows=rows)
+        raw = read_file(path, sources=[*sources, *times[:1]], settings=settings, rows=rows)
+        return _with_rate(raw, times[0], path, sampling.rate_hz, sources=sources, settings=settings)
     asked = [named(source, contents.names, path) for source in sources]
     sampled = {name: (contents.samples.get(name), contents.rates_hz.get(name)) for name in contents.names}
     alike = {sampled[name] for name in asked}
@@ -435,6 +450,23 @@ def read_checked(
         angle_deg = raw.columns[name][:MOST_SAMPLES] * np.float64(factor)
         _refuse_contradiction(name, angle_deg, manifest, path, is_start=not (rows and rows.start))
     return raw
+
+
+def _with_rate(
+    raw: RawFile, name: str, path: Path, stated_hz: float, *, sources: Sequence[Source], settings: IngestSettings
+) -> RawFile:
+    """The columns ``sources`` of ``raw``, at the rate that its times in the column ``name`` tell, where these are even.
+
+    Times without a unit are in that of s, ms, µs and ns which comes nearest to the rate that the manifest stated.
+    """
+    columns, times = {source: raw.columns[source] for source in sources}, raw.columns[name]
+    with suppress(InputError):  # uneven times are those of a reader: the manifest says so, for it does not ask for them
+        unit, told = _unit_and_label(name, raw.contents)[0], read_time_column(times, path, settings=settings)
+        steps = (1.0, 1e-3, 1e-6, 1e-9) if unit is None else (unit.factor,)
+        rate_hz = min((told.rate_hz / step for step in steps), key=lambda hz: abs(np.log(hz / stated_hz)))
+        rates = {source: rate_hz for source, column in columns.items() if column.size == times.size}
+        return replace(raw, columns=columns, rates_hz=rates, rate_uncertainty=told.rate_uncertainty)
+    return replace(raw, columns=columns)
 
 
 def _refuse_contradiction(name: str, angle_deg: Floats, manifest: Manifest, path: Path, *, is_start: bool) -> None:

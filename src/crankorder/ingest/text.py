@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from crankorder.errors import InputError, printable
+from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, flag, names_of
 from crankorder.ingest.units import known_unit, unit_in_label
@@ -26,9 +26,10 @@ _HEAD_BYTES = 65_536
 PIECE_BYTES, PIECE_LINES = 1 << 22, 1 << 16
 """So much of a table is read at a time."""
 
-_NUMBER = re.compile(
+NUMBER = re.compile(
     r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?|[+-]?(?:nan|inf|infinity)", re.IGNORECASE
 )
+"""A number as text, decimals after a point."""
 # an empty cell becomes NaN too, and is then looked for: pandas says the same of lines that end with a separator
 _NAN_WORDS = ("", "nan", "NaN", "NAN", "Nan")
 _RATE = re.compile(
@@ -113,11 +114,11 @@ def _separation(line: str) -> tuple[str, bool] | None:
     """Separator of a line of numbers, and whether its decimals stand after a comma; None for other lines."""
     for separator in _SEPARATORS:
         fields = _fields(line, separator)
-        if all(map(_NUMBER.fullmatch, fields)):
+        if all(map(NUMBER.fullmatch, fields)):
             return separator, False
         # "1,2" alone is two columns by comma; with another separator in the line it is a decimal comma
         may_be_decimal = separator != "," and len(fields) > 1
-        if may_be_decimal and all(_NUMBER.fullmatch(field.replace(",", ".", 1)) for field in fields):
+        if may_be_decimal and all(NUMBER.fullmatch(field.replace(",", ".", 1)) for field in fields):
             return separator, True
     return None
 
@@ -235,7 +236,7 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
                 raise InputError(problem, place=f"line {number}", found=found, remedy=remedy)
             for position, cell in enumerate(fields):
                 plain = cell.replace(",", ".", 1) if layout.decimal_comma else cell
-                if not _NUMBER.fullmatch(plain):
+                if not NUMBER.fullmatch(plain):
                     problem = "not a number" if cell else "an empty cell"
                     place = f"line {number}, column {position} ({printable(layout.names[position], 40)})"
                     raise InputError(problem, place=place, found=repr(printable(cell, 40)), remedy=_MEND_CELL)
@@ -255,6 +256,10 @@ def last_line_flags(path: Path) -> list[QualityFlag]:
 
 
 _BANNER_ROWS = 50
+_TEXT_PART = re.compile(r"(?i)(?!.*worksheets/).*\.(xml|rels)")
+_MOST_TEXT = 50_000_000
+"""Bytes of each part of a workbook that is no sheet: a sheet of numbers has names and units, and no other text."""
+_NO_VALUE = "an empty cell, or one with an error such as #N/A"
 _UNPACKED = 10
 """Bytes of numbers for each byte of a workbook, as a rule at most."""
 
@@ -282,9 +287,9 @@ def read_xlsx(path: Path, *, sources: Sequence[Source], settings: IngestSettings
         for number, values in enumerate(cells, start=n_above + 1):
             for position, cell in zip(positions, values, strict=True):
                 if not _is_number(cell):
-                    problem, found = ("an empty cell", "") if cell == "" else ("not a number", repr(cell))
+                    problem, found = (_NO_VALUE, "") if cell == "" else ("not a number", repr(cell))
                     place = f"row {number}, column {position} ({names[position]})"
-                    raise InputError(problem, place=place, found=found, remedy=_MEND_CELL)
+                    raise InputError(problem, place=place, found=found, allowed="a number", remedy=_MEND_CELL)
         block = np.ascontiguousarray(np.array(cells, dtype=np.float64).reshape(-1, len(positions)).T)
         return stated.with_columns(wanted, block)
 
@@ -294,11 +299,20 @@ def read_xlsx(path: Path, *, sources: Sequence[Source], settings: IngestSettings
 def _rows(parser: Any, path: Path, settings: IngestSettings) -> Iterator[Row]:
     """Values of the rows of the first sheet, "" for an empty cell.
 
-    What the archive claims to hold is checked against ``settings`` before it is unpacked; a claim of rows beyond the
-    last that a sheet can have takes more memory than the process has.
+    What the archive claims to hold is checked against ``settings`` before it is unpacked, and the parts that hold text
+    for all sheets, which the parser keeps in memory, against a limit of their own; a claim of rows beyond the last that
+    a sheet can have takes more memory than the process has.
     """
     with zipfile.ZipFile(path) as archive:
         check_budget(sum(item.file_size for item in archive.infolist()), settings)
+        for part in (item for item in archive.infolist() if _TEXT_PART.fullmatch(item.filename)):
+            if part.file_size > _MOST_TEXT:
+                problem, found = "too much text for a sheet of numbers", f"{part.file_size} bytes"
+                allowed, remedy = f"{_MOST_TEXT} bytes", "Save the sheet of the numbers alone in a workbook of its own"
+                raise UnsafeInputError(problem, place=part.filename, found=found, allowed=allowed, remedy=remedy)
+            with archive.open(part) as stream:
+                while stream.read(_HEAD_BYTES):  # raises where the part is longer than it claims
+                    pass
     sheet = parser.from_path(path).get_sheet_by_index(0)
     if sheet.start is None:
         return
@@ -323,8 +337,10 @@ def _sheet_header(rows: Iterator[Row]) -> tuple[tuple[str, ...], dict[str, str],
     width = max((len(row) for row in above[:1]), default=0) if first is None else len(_filled(first))
     named_rows = [row for row in (above[:1] if first is None else above) if len(row) == width]
     if not width or (above and not named_rows):
-        remedy = "Put the names of the columns into the row above the numbers"
-        raise InputError("no row names the columns", place=f"rows 1 to {len(above) or 1}", remedy=remedy)
+        found = f"rows of {', '.join(str(len(row)) for row in above[:5])} cells above the first that is all numbers"
+        remedy = f"Put the names into the row above the numbers; where the first of these has {_NO_VALUE}, mend it"
+        place, allowed = f"rows 1 to {len(above) or 1}", f"a row of {width} names"
+        raise InputError("no row names the columns", place=place, found=found, allowed=allowed, remedy=remedy)
     names, units = names_and_units(named_rows, width)
     return names, units, first, len(above)
 

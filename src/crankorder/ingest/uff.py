@@ -28,6 +28,7 @@ from crankorder.ingest.rawfile import (
     names_of,
 )
 from crankorder.ingest.sampling import TimeColumn, read_time_column
+from crankorder.ingest.text import NUMBER
 from crankorder.ingest.units import known_unit
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings
@@ -51,7 +52,8 @@ _FUNCTIONS = {
 class _History(NamedTuple):
     """One time history: its name, unit, points as the header promises them, sampling, and where its samples lie.
 
-    ``even`` is what the header says of the times, None where each sample has its own, in units of ``time_s``.
+    ``even`` is what the header says of the times, None where each sample has its own, in units of ``time_s``;
+    ``is_open`` says whether the end of its data set is missing.
     """
 
     name: str
@@ -64,6 +66,7 @@ class _History(NamedTuple):
     binary: bool
     first: int
     last: int
+    is_open: bool
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
@@ -89,6 +92,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     short = [name for name, column in columns.items() if column.size < promised[name]][:1]
     lacks = [f"the header promises {promised[name]} samples, {columns[name].size} are there" for name in short]
     flags = [flag(path, "missing_data", "suspect", f"{name}: {lack}") for name, lack in zip(short, lacks, strict=True)]
+    if not lacks and any(history.is_open for history in histories.values()):
+        flags.append(flag(path, "missing_data", "suspect", "the last data set has no end: further ones may be lost"))
     flags += [remark for time in times.values() for remark in time.flags]
     return _contents(histories, times).with_columns(names, [columns[name] for name in names.values()], flags=flags)
 
@@ -141,7 +146,9 @@ def _history(data: mmap.mmap, kind: bytes, place: int) -> tuple[_History | str, 
         start_s, step = float(text[6].split()[3]), text[6].split()[4]
         abscissa = int(text[7][:10])
     except (ValueError, IndexError):
-        raise InputError("damaged: the header of a data set is wrong", place=where) from None
+        problem, allowed = "cut or damaged: the header of a data set is wrong", f"{_HEADER_LINES} lines"
+        found = f"{sum(map(bool, text))} lines" if place >= len(data) else repr(text[6].strip())
+        raise InputError(problem, place=where, found=found, allowed=allowed, remedy="Copy it again") from None
     binary = b"b" in kind
     n_bytes, order = _binary_layout(kind, where) if binary else (0, "<")
     last = min(place + n_bytes, len(data))
@@ -168,6 +175,7 @@ def _history(data: mmap.mmap, kind: bytes, place: int) -> tuple[_History | str, 
     made = _History(
         name=_name(text), unit=_stated(text[8][46:]), n_points=n_points, n_present=min(present, n_points), even=even,
         time_s=time_s, point=point, binary=binary, first=place, last=last,
+        is_open=behind is None,
     )  # fmt: skip
     return made, after
 
@@ -244,7 +252,8 @@ def _sampled(
     if history.binary:
         points = np.frombuffer(block, point, len(block) // point.itemsize)[kept]
     else:
-        points = _numbers(block if most_bytes is None else block[: block.rfind(b"\n") + 1], history)[kept]
+        block = block if most_bytes is None else block[: block.rfind(b"\n") + 1]
+        points = _numbers(re.sub(rb"[DdEe]?[-+]?\s*\Z", b"", block), history)[kept]
         points = points[: -1 if points.size < kept.stop else None]  # a number that is cut still reads as one
     if history.even is not None:
         return np.asarray(points, dtype=point.newbyteorder("=")), history.even
@@ -274,6 +283,8 @@ def _numbers(block: bytes, history: _History) -> Floats:
             return np.array(b" ".join(lines).split(), dtype=np.float64)
         table = np.frombuffer(b"".join(line.ljust(full, b"\0") for line in lines), dtype=f"S{width}")
         return np.asarray(table[table != b""].astype(np.float64))
-    except ValueError as error:
-        place = f"data set 58 at byte {history.first}"
-        raise InputError("not a number", place=place, found=error, remedy="Export it again") from None
+    except ValueError:
+        cells = (cell.decode("latin-1") for line in lines for cell in line.split())
+        found = next((repr(cell) for cell in cells if not NUMBER.fullmatch(cell)), "two numbers in one")
+        place, allowed = f"data set 58 at byte {history.first}", f"numbers in columns of {width} characters"
+        raise InputError("not a number", place=place, found=found, allowed=allowed, remedy="Export it again") from None

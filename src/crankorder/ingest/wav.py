@@ -34,8 +34,9 @@ from crankorder.settings import IngestSettings
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 # below this share of the declared samples a cut recording is refused, above it it is used and flagged
 _MIN_PRESENT = 0.9
-_COPY, _LEAVE_OUT = "Copy it again", "Leave it out"
+_COPY, _EXPORT, _LEAVE_OUT = "Copy it again", "Export it again", "Leave it out"
 _LEA = b"LEA "
+_ONCE = (b"fmt ", b"data", b"ds64", _LEA)
 _MOST_OF_CHUNK = 1_000_000
 # lengths so near below 2 and 4 GiB stand where a program that streams cannot know them (0x7FFFF000, 0xFFFFFFDB, …)
 _NEARLY = 8192
@@ -113,6 +114,10 @@ def _header_of(path: Path, settings: IngestSettings) -> _Header:
         for number, (name, begin, n_bytes) in enumerate(_chunks(stream, size, declared)):
             if number > settings.max_objects:
                 raise UnsafeInputError(f"holds more than {settings.max_objects} chunks", remedy=_LEAVE_OUT)
+            if name in _ONCE and name in found.seen:
+                problem, place = f"holds two chunks {name.decode()!r}, of which one is allowed", f"byte {begin - 8}"
+                raise InputError(problem, place=place, found=f"{n_bytes} bytes more", remedy=_EXPORT)
+            found.seen.add(name)
             if name == b"data":
                 start, length = begin, n_bytes
                 if is_open := not _is_filled_in(stream, start, length, size):
@@ -214,7 +219,6 @@ class _Notes:
 
     def look_into(self, name: bytes, chunk: bytes) -> None:
         """Take the calibrations of the ``chunk``, or note that it speaks of one that is not understood."""
-        self.seen.add(name)
         shown = printable(name.decode("latin-1").strip(), 8)
         if name == _LEA:
             try:
