@@ -24,7 +24,7 @@ def comparison(tmp_path_factory):
 
 
 def test_the_balance_weight_is_the_cause(comparison):
-    assert comparison["cause"] == {"cause": "unbalance", "orders": [1.0]}
+    assert comparison["cause"] == {"cause": "unbalance", "orders": [1.0], "besides": None}
     assert "balance weight" in comparison["headline"][0]
     (record,) = [one for one in comparison["unbalance"] if one["order"] == 1.0]
     # 135 to 533 counts without, 14 to 51 with the weight: a tenth, whatever the speed

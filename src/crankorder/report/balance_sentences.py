@@ -96,7 +96,7 @@ def _of_couples(moments: Part, speed_rpm: float, *, state: str = "") -> Iterator
 
 
 def larger_parts(by_order: Part) -> dict[str, float]:
-    """Amplitude (N·m) of the larger one of gas and masses, by order."""
+    """Amplitude (N·m) of the larger one of gas and masses, by order, from the parts ``by_order``."""
     return {order: max(parts["gas_n_m"], parts["inertia_n_m"]) for order, parts in by_order.items()}
 
 

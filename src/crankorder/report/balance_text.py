@@ -217,14 +217,17 @@ def shown_orders(tables: Iterable[Mapping[str, float] | None]) -> list[str]:
 
 
 def or_none(sizes: Iterable[float], most: float) -> list[Cell]:
-    """Amplitudes of a table, "none" where they are nothing beside ``most``, its largest."""
+    """Amplitudes ``sizes`` of a table, "none" where they are nothing beside ``most``, its largest."""
     return ["none" if size <= NONE_SHARE * most else size for size in sizes]
 
 
 def shown_rows(
     columns: Mapping[AxisName, Sequence[Mapping[str, float] | None]],
 ) -> Iterator[tuple[str, str, list[Cell]]]:
-    """Axis, order and amplitudes of each row of a table: what is nothing beside its largest is "none", or no row."""
+    """Axis, order and amplitudes of each row of a table: what is nothing beside its largest is "none", or no row.
+
+    ``columns`` are the amplitudes by order of each column, by axis.
+    """
     every = [sizes for tables in columns.values() for table in tables for sizes in (table or {}).values()]
     most = max(every, default=0.0)
     for axis, tables in columns.items():

@@ -259,11 +259,11 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
     document = {
         "hint": HINT, "first": sizes.index(max(sizes)),
         "colours": _base64(np.insert(level_colours(), 3, 255, axis=1).tobytes()),
-        "channels": [
+        "channels": _shortened([
             {"name": name, "unit": unit_text(unit), "reference": reference, "order": top.order if top else 1.0,
              "rpm": (top and top.speed_rpm_at_max) or fastest}
             for name, unit, reference, top in zip(names, units, references, tops, strict=True)
-        ],
+        ]),
         "maps": maps, **_statements(findings, sources, settings),
     }  # fmt: skip
     text = json.dumps(document, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
