@@ -514,7 +514,9 @@ def analyse_test(
     quality = (*found.quality, *(flag for flag in of_recordings if flag not in found.quality))
     of_encoder = {order for order, name in NAMES.items() if any(f"encoder_{name}" == flag.flag for flag in quality)}
     encoder_deg = {float(order): settings.orders.largest_eccentricity_deg / order**2 for order in NAMES}
-    swings = speed_swings(Gathered(kept, ShaftAngle), of_encoder=of_encoder, encoder_deg=encoder_deg)
+    swings = speed_swings(
+        Gathered(kept, ShaftAngle), of_encoder=of_encoder, encoder_deg=encoder_deg, settings=settings.shaft
+    )
     return CampaignResult(datasets, replace(found, quality=quality, speed_swing=swings))
 
 

@@ -197,7 +197,7 @@ NUMBERS = MethodNumbers("5-identify-bearings.toml", "verdicts")
 
 DAMAGED = {"BPFO": "the outer race", "BPFI": "the inner race", "BSF": "a rolling element", "FTF": "the cage"}
 
-RE_RUN = "Re-run the same test: a growing amplitude means a failing bearing."
+RE_RUN = "Re-run the same test: an amplitude that grows speaks for a failing bearing."
 
 
 class Judged(NamedTuple):

@@ -133,6 +133,15 @@ class SpeedSwing(NamedTuple):
         sure = (self.steady_rpm > SURE * scatter) & (self.steady_rpm > self.doubt_rpm)
         return sure & (self.steady_rpm > LEAST_SHARE * self.speed_rpm)
 
+    @property
+    def is_high(self) -> Bools:
+        """Which ``orders`` (orders,) lie above those of a shaft's motion."""
+        return self.orders > HIGHEST_MOTION
+
+    def percent(self, kept: Bools) -> float:
+        """Steady swing of the orders that are ``kept`` (orders,) together, in per cent of the speed."""
+        return 100.0 * float(np.sqrt(np.sum(np.square(self.steady_rpm[kept])))) / self.speed_rpm
+
 
 MOST_VALUES = 1 << 18
 """Speeds within cycles that are told at a time: the memory does not grow with the recording."""
@@ -153,7 +162,11 @@ def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
 
 
 def speed_swings(
-    shafts: Iterable[xr.Dataset], *, of_encoder: Collection[float], encoder_deg: Mapping[float, float]
+    shafts: Iterable[xr.Dataset],
+    *,
+    of_encoder: Collection[float],
+    encoder_deg: Mapping[float, float],
+    settings: ShaftSettings,
 ) -> tuple[SpeedSwingFinding, ...]:
     """Swings of the speed within the cycle that are certain, recording by recording, the largest first.
 
@@ -163,6 +176,7 @@ def speed_swings(
     of_encoder : orders at which the encoder itself swings: that is no motion of the shaft
     encoder_deg : by order, largest amplitude of the angle [deg] that an encoder could show; a swing no larger is marked
         ``may_be_encoder``
+    settings : of what swing is more than a shaft can, at high orders: where one is, these are of the teeth
     """
     records = []
     for shaft in shafts:
@@ -170,6 +184,8 @@ def speed_swings(
         if swing is None:
             continue
         sure = swing.told & ~np.isin(swing.orders, list(of_encoder))
+        if swing.percent(swing.told & swing.is_high) > settings.largest_swing_percent:
+            sure &= ~swing.is_high
         for place in sorted(np.flatnonzero(sure).tolist(), key=lambda at: -swing.amplitude_rpm[at]):
             order, amplitude_rpm = float(swing.orders[place]), float(swing.amplitude_rpm[place])
             off_deg = np.degrees(amplitude_rpm / swing.speed_rpm / order)
@@ -229,16 +245,14 @@ def swing_remarks(shaft: xr.Dataset, settings: ShaftSettings) -> list[Remark]:
     swing = speed_swing(shaft)
     if swing is None:
         return []
-    high = swing.told & (swing.orders > HIGHEST_MOTION)
-    share = 100.0 * swing.steady_rpm / swing.speed_rpm
-    beyond = float(np.sqrt(np.sum(np.square(share[high]))))
+    total, beyond, low = map(swing.percent, (swing.told, swing.told & swing.is_high, swing.told & ~swing.is_high))
     if not beyond > settings.largest_swing_percent:
         return []
-    total, low = (float(np.sqrt(np.sum(np.square(share[kept])))) for kept in (swing.told, swing.told & ~high))
     detail = (
         f"the speed within the revolution swings by {total:.2g} %, of that {beyond:.2g} % above order "
-        f"{HIGHEST_MOTION:g}: more than a shaft can; teeth of the wheel that sit wrongly? What the shaft swings is "
-        f"between 0 and {low:.2g} %; orders beside strong ones may be made by it. Record more revolutions to tell"
+        f"{HIGHEST_MOTION:g}: more than a shaft can; teeth of the wheel that sit wrongly, or too few samples for each? "
+        f"What the shaft itself swings is {f'at most {low:.2g} %' if low else 'too little to be seen'}; orders beside "
+        "strong ones may be made by it. Record more revolutions to tell"
     )
     return [("encoder_tooth_errors_likely", "suspect", detail)]
 

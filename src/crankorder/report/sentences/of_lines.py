@@ -44,7 +44,7 @@ from crankorder.report.sentences.of_speeds import above_sentence, look_above
 LIKE_UNBALANCE = "unbalance, bent shaft or misalignment"
 """Cause of an order 1 of which nothing tells what it is."""
 
-RE_RUN_RULE = "Re-run the same test: a growing amplitude means a failing bearing."
+RE_RUN_RULE = "Re-run the same test: an amplitude that grows speaks for a failing bearing."
 
 SHAFT_SIDES = "motor, pole-pass sideband of order 1 of the motor"
 FIELD_SIDES = "motor, pole-pass sideband of twice mains"
