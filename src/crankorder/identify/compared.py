@@ -246,8 +246,8 @@ def _hidden_by(change: OrderChange, base: Tested, new: Tested) -> str | None:
 def _mode_shifts(base: Findings, new: Findings) -> list[ModeShift]:
     """Shifts of the natural frequencies of both tests, and those of one test without; no claim made yet.
 
-    ``base`` and ``new`` are findings; modes are matched with the nearest within three damping bandwidths or 5 %. A mode
-    that one test alone shows is no claim: it may be hidden.
+    ``base`` and ``new`` are findings; modes are matched with the nearest within three damping bandwidths or standard
+    errors, and at least 5 %. A mode that one test alone shows is no claim: it may be hidden.
     """
     lists = [[mode for mode in findings.modes if mode.explained_by == "mode"] for findings in (base, new)]
     hz = [np.array([mode.frequency_hz for mode in modes]) for modes in lists]
@@ -278,11 +278,13 @@ def _reach(mode: ModeFinding) -> float:
 
 def _mode_shift(base: ModeFinding, new: ModeFinding) -> ModeShift:
     shifts, chances = [], []
-    for key in ("frequency_hz", "damping_ratio"):
+    for key, same in (("frequency_hz", NUMBERS.same_share * base.frequency_hz), ("damping_ratio", 0.0)):
         error = float(np.hypot(_error_of(base, key), _error_of(new, key)))
         shift = float(getattr(new, key) or 0.0) - float(getattr(base, key) or 0.0)
         shifts.append((shift, interval(shift, error)))
-        chances.append(1.0 if shift == 0 else 2 * float(ndtr(-abs(shift) / error)) if error > 0 else 0.0)
+        # of so large a shift where it is ``same`` at most
+        tails = ndtr(np.array([same - abs(shift), -same - abs(shift)]) / error) if error > 0 else abs(shift) <= same
+        chances.append(min(1.0, float(np.sum(tails))))
     (shift, shift_ends), (damping, damping_ends) = shifts
     return ModeShift(
         only_in=None, frequency_hz=base.frequency_hz, new_frequency_hz=new.frequency_hz,

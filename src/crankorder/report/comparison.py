@@ -108,11 +108,10 @@ def builds_headline(tests: Mapping[str, Comparison], alone: Sequence[str]) -> li
         seen.setdefault(key, []).append((high - low, name, _mode_sentence(mode) if mode.changed else ""))
     for name, test in tests.items():
         cause = test.cause.besides or test.cause.cause
-        if cause not in ("natural frequencies", "nothing changed", "not comparable"):
-            kind = cause if cause in ("gain", "growing line") else "orders"
+        if cause not in ("natural frequencies", "nothing changed", "not comparable") and test.cause.besides != "orders":
             best = _best_unbalance(test) if cause == "unbalance" else None
             width = best.factor_ci95[1] - best.factor_ci95[0] if best else 1e3 / max(len(test.speeds), 1)
-            seen.setdefault(kind, []).append((width, name, _cause_sentence(test, cause)))
+            seen.setdefault(cause, []).append((width, name, _cause_sentence(test, cause)))
     sentences, undecided = list[str](), list[str]()
     for claims in seen.values():
         (_, best_test, best_sentence), claimed = min(claims), [claim for claim in claims if claim[2]]
@@ -165,10 +164,12 @@ def _cause_sentences(comparison: Comparison) -> list[str]:
     cause = comparison.cause
     if cause.cause != "natural frequencies":
         return [_cause_sentence(comparison, cause.cause)]
-    followed = sorted({record.order for record in comparison.orders if record.by_modes_hz})
+    followed = sorted({record.order for record in comparison.orders if record.by_modes_hz} - {*cause.orders})
     sentences = _mode_sentences(comparison)[:2]
     if followed:
-        sentences.append(f"The change of {_orders_text(followed)} follows from that.")
+        sentences.append(f"The change of {_orders_text(followed)} follows from the shift.")
+    if cause.besides == "orders":
+        return [*sentences, f"Not decided: whether {_orders_text(cause.orders)} changed beyond what the shift makes."]
     if cause.besides:
         besides = _cause_sentence(comparison, cause.besides)
         return [*sentences, f"Beyond that, {besides[:1].lower()}{besides[1:]}"]
