@@ -35,7 +35,7 @@ from crankorder.plot.reading import (
     with_interval,
 )
 from crankorder.records import known
-from crankorder.report.sentences.story import Answer, Story
+from crankorder.report.sentences.story import INTERVALS, Answer, Story
 from crankorder.report.tables import Table, table_of
 from crankorder.settings import ReportSettings
 
@@ -77,12 +77,9 @@ def trend_verdict(trend: Trend) -> str:
 def _headline(comparison: Comparison) -> list[str]:
     """The few sentences that matter most, the cause first."""
     sentences = _cause_sentences(comparison)
-    sentences += [
-        f"The first test was {confound.base}, the second {confound.new}: what combustion changes is no change of the "
-        "build."
-        for confound in comparison.confounds
-        if confound.what == FIRING
-    ]
+    build = "what combustion changes is no change of the build"
+    fired = [confound for confound in comparison.confounds if confound.what == FIRING]
+    sentences += [f"The first test was {confound.base}, the second {confound.new}: {build}." for confound in fired]
     left_out = [short(channel.name) for channel in comparison.channels if not channel.compared]
     if 0 < len(left_out) < len(comparison.channels):
         shown = left_out[:_MANY] + [f"{len(left_out) - _MANY} more"] * (len(left_out) > _MANY)
@@ -140,18 +137,7 @@ def builds_headline(tests: Mapping[str, Comparison], alone: Sequence[str]) -> li
 
 def comparison_story(comparison: Comparison) -> Story:
     """What changed, why, how sure and what to do, from a ``comparison``; the cause itself stands in the headline."""
-    return Story(
-        what=[
-            *_mode_sentences(comparison), *_order_sentences(comparison), *_growth_sentences(comparison),
-            *_kept_sentences(comparison),
-        ],
-        why=[
-            *_cause_sentences(comparison), *_law_sentences(comparison), *_mass_sentences(comparison),
-            *_balance_sentences(comparison),
-        ],
-        how_sure=_how_sure(comparison),
-        what_to_do=_what_to_do(comparison),
-    )  # fmt: skip
+    return {answer: [text for say in parts for text in say(comparison)] for answer, (_, parts) in _ANSWERS.items()}
 
 
 def _best_unbalance(comparison: Comparison) -> UnbalanceRecord | None:
@@ -406,12 +392,11 @@ def _mass_sentences(comparison: Comparison) -> list[str]:
         return [f"The residual along the cylinder was {before} before and is {after} now, by the stated mass."]
     # grams where all stated masses sit at one radius
     per_gmm, unit = (1.0 / trial.radius_mm, "g") if trial.radius_mm else (1.0, "g·mm")
+    angles = {"residual_rotating_gmm": trial.angle_deg, "residual_after_gmm": trial.angle_after_deg}
     before, after = (
         estimate_text(trial, size, unit=unit, factor=per_gmm) + (f" at {angle:.0f}°" if is_number(angle) else "")
-        for size, angle in (
-            ("residual_rotating_gmm", trial.angle_deg), ("residual_after_gmm", trial.angle_after_deg)
-        )
-    )  # fmt: skip
+        for size, angle in angles.items()
+    )
     return [f"The unbalance was {before} before and is {after} now, by the stated mass."]
 
 
@@ -435,17 +420,15 @@ def _balance_sentences(comparison: Comparison) -> list[str]:
 
 def _how_sure(comparison: Comparison) -> list[str]:
     q = number_text(100 * comparison.false_discovery_rate, digits=2)
-    sentences = [
-        f"Numbers in brackets are 95 % intervals. Of all changes that are claimed at most {q} % are chance, on "
-        "average; where nothing changed, so often anything is claimed at all."
-    ]
-    weights = {"invalid": "not compared", "weakens": "weakens the comparison"}
+    claims = f"Of all changes that are claimed at most {q} % are chance, on average"
+    weights, doubts = {"invalid": "not compared", "weakens": "weakens the comparison"}, []
     for confound in comparison.confounds:  # the worst first
         if weight := weights.get(confound.severity):
             what = f"{_capital(confound.what)} {short(confound.channel)}".strip()
             values = f"{short(confound.base)} / {short(confound.new)}"
-            sentences.append(f"{what} ({values}): {weight}. {_capital(confound.words)}.")
-    return [sentences[0], *_undecided_sentences(comparison), *sentences[1 : _MANY + 2]]
+            doubts.append(f"{what} ({values}): {weight}. {_capital(confound.words)}.")
+    sure = f"{INTERVALS} {claims}; where nothing changed, so often anything is claimed at all."
+    return [sure, *_undecided_sentences(comparison), *doubts[: _MANY + 1]]
 
 
 def _capital(text: str) -> str:
@@ -466,7 +449,14 @@ def _what_to_do(comparison: Comparison) -> list[str]:
     return [text for text, holds in advice.items() if holds]
 
 
-_ANSWERS: dict[Answer, str] = {"what": "What changed", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}
+_ANSWERS: dict[Answer, tuple[str, tuple[Callable[[Comparison], list[str]], ...]]] = {
+    "what": ("What changed", (_mode_sentences, _order_sentences, _growth_sentences, _kept_sentences)),
+    "why": ("Why", (_cause_sentences, _law_sentences, _mass_sentences, _balance_sentences)),
+    "how_sure": ("How sure", (_how_sure,)),
+    "what_to_do": ("What to do", (_what_to_do,)),
+}
+"""Title of each answer of the page, and what is said there."""
+
 _MARKED = frozenset({"yes", "invalid", "weakens"})
 _TABLES = ("orders", "modes", "unbalance", "masses", "balance", "trend", "confounds")  # as they stand on the page
 
@@ -487,7 +477,7 @@ def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], 
         base=named(comparison.base, limit=limit),
         new=named(comparison.new, limit=limit),
         lead=lead,
-        story=[(title, [sentence for sentence in story[key] if sentence != lead]) for key, title in _ANSWERS.items()],
+        story=[(_ANSWERS[key][0], [text for text in texts if text != lead]) for key, texts in story.items()],
         pictures=[(f"./{file}", named(caption, limit=4 * limit)) for file, caption in pictures],
         tables=[(name, tables[name]) for name in _TABLES if tables[name].rows or tables[name].empty],
         marked=_MARKED,
