@@ -118,17 +118,14 @@ def speed_against_error() -> Iterator[dict[str, Any]]:
     """
     phases = np.random.default_rng(1).uniform(-np.pi, np.pi, (3, len(LINES)))
     seconds = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
-    signals = [
-        np.array(list(LINES.values())) @ np.cos(2 * np.pi * np.outer(list(LINES), _turns(seconds)) + row[:, None])
-        for row in phases
-    ]
+    amplitudes, angles = np.array(list(LINES.values())), 2 * np.pi * np.outer(list(LINES), _turns(seconds))
+    signals = [amplitudes @ np.cos(angles + row[:, None]) for row in phases]
     per_rev = np.arange(round(float(_turns(np.array(SECONDS))) * PULSES)) / PULSES
-    one = TwinRecording("speed", np.array(signals), _times(per_rev), _times(np.arange(per_rev[-1])), SPEED_RPM)
+    made_of = TwinRecording("speed", np.array(signals), _times(per_rev), _times(np.arange(per_rev[-1])), SPEED_RPM)
     nothing, channels = xr.Dataset(), {"channel": list("XYZ"), "unit": ("channel", ["m/s2"] * 3)}
-    tracks = xr.Dataset(coords=channels)
-    twin = Twin(tracks, nothing, nothing, nothing, RATE_HZ, PULSES, 0.0, cycle="four-stroke")
-    recording = _recording(twin, one)
-    wanted = np.array(list(LINES.values())) * np.exp(1j * phases)
+    maps = (xr.Dataset(coords=channels), nothing, nothing, nothing)
+    recording = _recording(Twin(*maps, RATE_HZ, PULSES, 0.0, cycle="four-stroke"), made_of)
+    wanted = amplitudes * np.exp(1j * phases)
     for tolerance in TOLERANCES:
         settings = load_settings(asked={"report": {"results": ("order_map",)}, "orders": {"tolerance": tolerance}})
         taken = []
@@ -243,53 +240,48 @@ def _judged(twin: Twin, test: str, draws: list[_Draw]) -> TwinAccuracy:
         known = np.concatenate([own, draw.probes])
         false.update(f"{order:.4g}" for order in found if np.abs(known - order).min() > near)
     channels = tuple(_of_channel(twin, draws, number, *channel, near) for number, channel in enumerate(twin.channels))
-    counted = (
-        tuple(f"{order} ({count} of {len(draws)})" for order, count in counts.items()) for counts in (missed, false)
-    )
-    return TwinAccuracy(test, len(draws), twin.rate_hz, channels, *counted)
+    of = len(draws)
+    counted = (tuple(f"{order} ({n} of {of})" for order, n in counts.items()) for counts in (missed, false))
+    return TwinAccuracy(test, of, twin.rate_hz, channels, *counted)
 
 
 def _of_channel(twin: Twin, draws: list[_Draw], number: int, name: str, unit: str, near: float) -> ChannelAccuracy:
-    off: list[float] = []
-    inside: list[bool] = []
     probes: list[tuple[float, bool]] = []
     own, found = twin.tracks["order"].values, 0
+    known = [row for draw in draws for row in _beside(twin, draw, number, near)]
+    inside = [low <= truth <= high for _, truth, _, low, high in known]
+    off = [estimate / truth - 1.0 for estimate, truth, error, *_ in known if truth > SURE * error]
     for draw in draws:
         lines = np.array([line.order for line in draw.findings.orders if line.channel == name])
-        for order in draw.tracks["order"].values:
-            for estimate, truth, error, low, high in _beside(twin, draw, number, float(order), near):
-                inside.append(low <= truth <= high)
-                if truth > SURE * error:
-                    off.append(estimate / truth - 1.0)
         for order, amplitude in zip(draw.probes, draw.amplitudes[number], strict=True):
             probes.append((float(amplitude), bool(np.abs(lines - order).min(initial=np.inf) <= near)))
         found += sum(bool(np.abs(lines - order).min(initial=np.inf) <= near) for order in own)
     lost = [size for size, seen in probes if not seen]
     seen = sorted(size for size, seen in probes if seen and size > max(lost, default=0.0))
-    errors = 100.0 * np.array(off)
-    bias = float(np.median(errors)) if errors.size else None
-    scatter = float(np.percentile(np.abs(errors), 68.3)) if errors.size else None
+    errors, bias, scatter = 100.0 * np.array(off), None, None
+    if errors.size:
+        bias, scatter = float(np.median(errors)), float(np.percentile(np.abs(errors), 68.3))
     coverage = 100.0 * float(np.mean(inside)) if inside else None
     least, most = seen[0] if seen else None, max(lost, default=None)
     return ChannelAccuracy(name, unit, bias, scatter, len(inside), coverage, len(own) * len(draws), found, least, most)
 
 
-def _beside(twin: Twin, draw: _Draw, channel: int, order: float, near: float) -> Iterator[tuple[float, ...]]:
-    """Estimate, truth, standard error and interval of an ``order`` at each speed where both are known."""
+def _beside(twin: Twin, draw: _Draw, channel: int, near: float) -> Iterator[tuple[float, ...]]:
+    """Estimate, truth, standard error and interval of each order at each speed where both are known."""
     own = twin.tracks["order"].values
-    place = int(np.abs(own - order).argmin())
-    track = draw.tracks.isel(channel=channel).sel(order=order)
-    if abs(own[place] - order) <= near:
-        known = twin.tracks["amplitude"].isel(channel=channel, order=place).values.astype(float)
-        truth = np.interp(track["speed"].values, twin.tracks["speed"].values, known)
-    else:
-        probe = np.flatnonzero(np.abs(draw.probes - order) <= near)
-        if not probe.size:
-            return
-        truth = np.full(track.sizes["speed"], draw.amplitudes[channel, probe[0]])
-    bounds = [track[name].values for name in ("standard_error", "amplitude_low", "amplitude_high")]
-    columns = (track["amplitude"].values, truth, *bounds)
-    yield from (row for row in np.array(columns, dtype=float).T.tolist() if np.isfinite(row).all())
+    for order in map(float, draw.tracks["order"].values):
+        place, probe = int(np.abs(own - order).argmin()), np.flatnonzero(np.abs(draw.probes - order) <= near)
+        track = draw.tracks.isel(channel=channel).sel(order=order)
+        if abs(own[place] - order) <= near:
+            known = twin.tracks["amplitude"].isel(channel=channel, order=place).values.astype(float)
+            truth = np.interp(track["speed"].values, twin.tracks["speed"].values, known)
+        elif probe.size:
+            truth = np.full(track.sizes["speed"], draw.amplitudes[channel, probe[0]])
+        else:
+            continue
+        bounds = [track[name].values for name in ("standard_error", "amplitude_low", "amplitude_high")]
+        columns = (track["amplitude"].values, truth, *bounds)
+        yield from (row for row in np.array(columns, dtype=float).T.tolist() if np.isfinite(row).all())
 
 
 def _speed_text(timed: list[dict[str, Any]]) -> str:
@@ -385,15 +377,13 @@ class TwinRecording:
 def probe_orders(twin: Twin) -> Floats:
     """Orders (probes,) of the probes for ``twin``: on bins of its order map, clear of the test's and of half orders."""
     axis = twin.order_map["order"].values
-    taken = np.unique(np.append(twin.tracks["order"].values, np.arange(0.0, axis[-1] + 1.0, 0.5)))
     own = twin.tracks["order"].values
-    free = [
-        order
-        for order in axis[(axis > 0.7) & (axis < 0.9 * axis[-1])]
-        if np.abs(taken - order).min() > 0.1 and np.abs(own - order).min(initial=np.inf) > CLEARANCE_ORDERS
-    ]
+    taken = np.append(own, np.arange(0.0, axis[-1] + 1.0, 0.5))
+    clear = np.abs(own[:, None] - axis).min(axis=0, initial=np.inf) > CLEARANCE_ORDERS
+    clear &= (np.abs(taken[:, None] - axis).min(axis=0) > 0.1) & (axis > 0.7) & (axis < 0.9 * axis[-1])
+    free = np.flatnonzero(clear)
     places = np.linspace(0, len(free) - 1, min(PROBES, len(free))).round().astype(int)
-    return np.array([free[place] for place in places], dtype=np.float64)
+    return np.asarray(axis[free[places]], dtype=np.float64)
 
 
 def probe_amplitudes(twin: Twin, rng: np.random.Generator, n_probes: int) -> Floats:
@@ -479,11 +469,9 @@ def _pulse_times(twin: Twin, time: Floats, turns: Floats) -> tuple[Floats, Float
     """Times of the encoder's pulses and of the marks at top dead centre, on the grid of the test."""
     if not twin.pulses_per_rev:
         return np.array([]), np.array([])
-    times = []
-    for per_rev in (twin.pulses_per_rev, 1):
-        at = np.interp(np.arange(np.ceil(turns[-1] * per_rev)) / per_rev, turns, time)
-        times.append(np.ceil(at / twin.pulse_step_s) * twin.pulse_step_s if twin.pulse_step_s else at)
-    return times[0], times[1]
+    rates, step = (twin.pulses_per_rev, 1), twin.pulse_step_s
+    pulses, marks = (np.interp(np.arange(np.ceil(turns[-1] * n)) / n, turns, time) for n in rates)
+    return (np.ceil(pulses / step) * step, np.ceil(marks / step) * step) if step else (pulses, marks)
 
 
 class KnownAnswer(NamedTuple):
@@ -522,16 +510,16 @@ def known_answers() -> list[KnownAnswer]:
 def surroundings(out: Path) -> list[str]:
     """Lines on this machine: versions, processor and threads, formats that can be read, and space for ``out``."""
     versions = library_versions()
-    lines = [f"crankorder {versions.pop('crankorder')}, Python {platform.python_version()}, {platform.platform()}"]
-    lines.append(", ".join(f"{name} {number}" for name, number in versions.items()))
+    program = f"crankorder {versions.pop('crankorder')}, Python {platform.python_version()}, {platform.platform()}"
+    libraries = ", ".join(f"{name} {number}" for name, number in versions.items())
     processor = platform.processor() or platform.machine()
     with contextlib.suppress(OSError):  # Linux alone
         named = re.search(r"^model name\s*: (.+)$", Path("/proc/cpuinfo").read_text("utf-8"), re.MULTILINE)
         processor = named[1] if named else processor
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    lines.append(f"processor: {processor}, {usable} cores; a thread for each recording, {fft_library()} transforms")
-    for name, what in _READERS.items():
-        there = f"by {name}" if find_spec(name) else "pip install 'crankorder[formats]' reads them"
-        lines.append(f"{what}: {there}")
+    there = f"processor: {processor}, {usable} cores; a thread for each recording, {fft_library()} transforms"
+    missing = "pip install 'crankorder[formats]' reads them"
+    formats = [f"{what}: {f'by {name}' if find_spec(name) else missing}" for name, what in _READERS.items()]
     existing = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
-    return [*lines, f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB"]
+    free = f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB"
+    return [program, libraries, there, *formats, free]

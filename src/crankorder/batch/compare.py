@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
@@ -251,20 +250,19 @@ def _files(results: ComparedResults, settings: ReportSettings, *, prefix: str = 
     from crankorder.report.netcdf import as_stored, results_bytes
 
     document, shown = results.document, as_stored(results.datasets)
-    pictures: list[tuple[str, str]] = []
     files: dict[str, bytes] = {f"{prefix}{NAME}": document_text(results).encode()}
-
-    def draw(name: str, caption: str, figure: Callable[[], Drawing]) -> None:
-        file = f"{prefix}{name}.{settings.picture_format}"
-        files[file] = picture_bytes(figure(), dpi=settings.dpi, kind=settings.picture_format)
-        pictures.append((file, caption))
-
+    drawings: dict[str, tuple[str, Drawing]] = {}
     if any(trend.changed for trend in document.trend) and settings.pictures:  # without growth it would be empty
         caption = "How the lines went from run to run, with 95 % intervals and the fitted growth"
-        draw("trend", caption, partial(trend_figure, document, settings=settings))
+        drawings["trend"] = caption, trend_figure(document, settings=settings)
     if "order_change" in shown and settings.pictures:
         caption = "What changed, order by order: second test over first, with 95 % intervals"
-        draw("orders_change", caption, partial(order_change_figure, shown["order_change"], document, settings=settings))
+        figure = order_change_figure(shown["order_change"], document, settings=settings)
+        drawings["orders_change"] = caption, figure
+    kind = settings.picture_format
+    pictures = [(f"{prefix}{name}.{kind}", caption) for name, (caption, _) in drawings.items()]
+    painted = [picture_bytes(drawing, dpi=settings.dpi, kind=kind) for _, drawing in drawings.values()]
+    files |= {file: picture for (file, _), picture in zip(pictures, painted, strict=True)}
     attrs = {"title": f"{document.base} / {document.new}", "source": f"crankorder {version('crankorder')}"}
     files[f"{prefix}comparison.nc"] = results_bytes(results.datasets, attrs=attrs)
     page = comparison_page(document, pictures=pictures, settings=settings)

@@ -205,10 +205,8 @@ def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
         files = files_of_test(groups, findings, provenance, settings)
         kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
         timings = folder / result_folder.TIMINGS
-        besides = {timings.name: timings.read_bytes()} if timings.is_file() else {}
-        result_folder.publish(
-            folder, files | kept, key=marker.key, owner=marker.input, record=marker.record, besides=besides
-        )
+        besides, kind = {timings.name: timings.read_bytes()} if timings.is_file() else {}, marker.record
+        result_folder.publish(folder, files | kept, key=marker.key, owner=marker.input, record=kind, besides=besides)
         return folder / "report.html"
 
 

@@ -15,18 +15,8 @@ from scipy.special import fdtrc, stdtr
 from crankorder.comparison import LineKind, SpeedPair, Trend
 from crankorder.findings import Findings, OrderFinding
 from crankorder.identify.envelope_lines import Spectra, spectra_of
+from crankorder.orders import intervals
 from crankorder.orders.fixed_lines import OrderRows
-from crankorder.orders.intervals import (
-    claimed,
-    error_of,
-    half_width,
-    half_widths,
-    interval,
-    known_freedom,
-    phases_compare,
-    positive_interval,
-    simes,
-)
 from crankorder.orders.track_rows import ON_BIN, ON_BIN_NAMES
 from crankorder.orders.true_angle import UNKNOWN_DEG
 from crankorder.quantities import Bools, Complexes, Floats, Ints
@@ -64,15 +54,14 @@ class Tested:
         hide is NaN.
         """
         order_map, tracks = self.maps["order_map"].copy(), self.maps.get("order_tracks")
-        held = {name: order_map[name].transpose("channel", "speed", "order").values.copy() for name in ON_BIN_NAMES}
+        dims = ("channel", "speed", "order")
+        held = {name: order_map[name].transpose(*dims).values.copy() for name in ON_BIN_NAMES}
         hidden = np.zeros(held["phase"].shape, dtype=np.bool_)
         if tracks is not None and tracks["channel"].values.tolist() == order_map["channel"].values.tolist():
-            bins, rows = (
-                _alike(order_map[name].values, tracks[name].values, within)
-                for name, within in (
-                    ("order", ON_BIN),
-                    ("speed", EXACT * np.nanmax(np.append(order_map["speed"], 1.0))),
-                )
+            slack = {"order": ON_BIN, "speed": EXACT * np.nanmax(np.append(order_map["speed"], 1.0))}
+            bins, rows = (  # positions in both of the places that are one in both
+                np.nonzero(np.abs(order_map[name].values[:, None] - tracks[name].values) <= within)
+                for name, within in slack.items()
             )
             every = np.arange(len(hidden))
             inside, beside = np.ix_(every, rows[0], bins[0]), np.ix_(every, bins[1], rows[1])
@@ -83,20 +72,12 @@ class Tested:
             hidden[inside] = width > 2.0 * own  # what they may add is more than the half width of noise
             unknown = hidden[inside] & (held["phase_ci95"][inside] >= UNKNOWN_DEG)
             held["phase"][inside] = np.where(unknown, np.nan, held["phase"][inside])
-        return order_map.assign(
-            {name: (("channel", "speed", "order"), values) for name, values in (*held.items(), ("hidden", hidden))}
-        )
+        return order_map.assign({name: (dims, values) for name, values in (*held.items(), ("hidden", hidden))})
 
     @property
     def comparable(self) -> set[str]:
         """What a comparison can take from these results: "orders" of an order map, "modes" where they were sought."""
         return ({"orders"} if "order_map" in self.maps else set()) | ({"modes"} & set(self.findings.looked_for))
-
-
-def _alike(places: Floats, others: Floats, within: float) -> tuple[Ints, Ints]:
-    """Positions in both lists of the numbers that are one in both, to ``within``."""
-    found = np.nonzero(np.abs(places[:, None] - others) <= within)
-    return found[0], found[1]
 
 
 def order_maps(tests: Sequence[Tested]) -> list[xr.Dataset]:
@@ -175,7 +156,7 @@ class OrderChange:
     def difference_ci95(self) -> Floats:
         """Its interval."""
         error, freedom = welch(self.base.error, self.base.freedom, self.new.error, self.new.freedom)
-        return self.difference[:, None] + (half_widths(freedom) * error)[:, None] * (-1.0, 1.0)
+        return self.difference[:, None] + (intervals.half_widths(freedom) * error)[:, None] * (-1.0, 1.0)
 
     @property
     def undecided_at(self) -> Bools:
@@ -199,8 +180,8 @@ class OrderChange:
         base, new = self.base, self.new
         with np.errstate(divide="ignore", invalid="ignore"):
             error, freedom = welch(base.error / base.amplitude, base.freedom, new.error / new.amplitude, new.freedom)
-            near = self.ratio_db[:, None] + TO_DB * (half_widths(freedom) * error)[:, None] * (-1.0, 1.0)
-            reach, new_reach = (half_widths(line.freedom, level=0.975) * line.error for line in (base, new))
+            near = self.ratio_db[:, None] + TO_DB * (intervals.half_widths(freedom) * error)[:, None] * (-1.0, 1.0)
+            reach, new_reach = (intervals.half_widths(line.freedom, level=0.975) * line.error for line in (base, new))
             low = np.maximum(new.amplitude - new_reach, 0.0) / (base.amplitude + reach)
             high = (new.amplitude + new_reach) / np.maximum(base.amplitude - reach, 0.0)
             far = TO_DB * np.log(np.stack([low, high], axis=1))
@@ -243,7 +224,7 @@ class OrderChange:
         mean = float(np.sum(share * values))
         error_of_mean = float(np.sqrt((1.0 + 4.0 * np.sum(share * (1.0 - share) / freedom)) / weight.sum()))
         degrees = 1.0 / float(np.sum(share**2 / freedom))
-        low, high = interval(mean * TO_DB, error_of_mean * TO_DB, freedom=degrees)
+        low, high = intervals.interval(mean * TO_DB, error_of_mean * TO_DB, freedom=degrees)
         spare = len(values) - 1
         alike = chance_of(float(np.sum(weight * (values - mean) ** 2)) / spare, spare, freedom) if spare else np.nan
         return MeanRatio(mean * TO_DB, (low, high), float(2.0 * stdtr(degrees, -abs(mean) / error_of_mean)), alike)
@@ -251,7 +232,7 @@ class OrderChange:
     @property
     def p_all(self) -> float:
         """Chance of so large a difference at all speeds together where nothing changed."""
-        return float(np.nanmin([1.0, 2.0 * self.mean.p_value, 2.0 * simes(self.p_value)]))
+        return float(np.nanmin([1.0, 2.0 * self.mean.p_value, 2.0 * intervals.simes(self.p_value)]))
 
 
 def like_speeds(base_rpm: Floats, new_rpm: Floats, *, within_rpm: float) -> tuple[Ints, Ints]:
@@ -318,7 +299,7 @@ def line_of(order_map: xr.Dataset, channel: str, order: float, at: Ints, *, lock
     amplitude, error = values("coherent_amplitude"), values("standard_error")
     freedom = np.maximum(np.nan_to_num(values("degrees_of_freedom"), nan=1.0), 1.0)
     half = np.radians(values("phase_ci95"))
-    across = np.where(half < np.pi / 2, amplitude * half / half_widths(freedom), 0.0)
+    across = np.where(half < np.pi / 2, amplitude * half / intervals.half_widths(freedom), 0.0)
     vector = np.asarray(amplitude * np.exp(1j * np.radians(values("phase"))), dtype=np.complex128)
     hidden = values("hidden") > 0.0
     line = Line(amplitude, error, freedom, vector, np.maximum(error, np.nan_to_num(across)), error, hidden)
@@ -367,7 +348,7 @@ def order_changes(
     changes: list[OrderChange] = []
     for channel in channels if speeds else ():
         for order, locked in orders:
-            with_phases = phases and locked and bool(phases_compare(maps, np.array(order)))
+            with_phases = phases and locked and bool(intervals.phases_compare(maps, np.array(order)))
             read = partial(line_of, channel=channel, order=order, locked=locked, phases=with_phases)
             before, after = (read(order_map, at=rows) for order_map, rows in zip(maps, at, strict=True))
             if np.isfinite(before.amplitude).any() and np.isfinite(after.amplitude).any():
@@ -376,8 +357,8 @@ def order_changes(
     if not changes:
         return speeds, orders, changes
     of_amplitude = [replace(c, base=c.base.without_phasor, new=c.new.without_phasor) for c in changes]
-    whole, size = (claimed(np.array([c.p_all for c in each]), q=q) for each in (changes, of_amplitude))
-    by_speed = claimed(np.stack([c.p_value for c in changes]), q=q)
+    whole, size = (intervals.claimed(np.array([c.p_all for c in each]), q=q) for each in (changes, of_amplitude))
+    by_speed = intervals.claimed(np.stack([c.p_value for c in changes]), q=q)
     return speeds, orders, [
         replace(c, changed=bool(claim), changed_at=claims, phase_only=bool(claim and not by_size))
         for c, claim, by_size, claims in zip(changes, whole, size, by_speed, strict=True)
@@ -480,8 +461,8 @@ def trend_over(
     sizes, errors, freedom = runs
     if not (len(sizes) and np.all(sizes > 0) and np.all(errors >= 0)):
         return None
-    half = half_width(freedom)
-    ends = tuple(positive_interval(float(a), half * float(e)) for a, e in zip(sizes, errors, strict=True))
+    half = intervals.half_width(freedom)
+    ends = tuple(intervals.positive_interval(float(a), half * float(e)) for a, e in zip(sizes, errors, strict=True))
     logs, run = np.log(sizes), np.arange(len(sizes), dtype=np.float64)
     weight = np.maximum(errors / sizes, 1e-9) ** -2.0
     beside = run - (weight * run).sum() / weight.sum()
@@ -493,12 +474,12 @@ def trend_over(
         if scatter > 1.0:
             variance, freedom = variance * scatter, len(run) - 2.0
     error = math.sqrt(variance)
-    half = error * half_width(freedom, level=1.0 - TREND_NUMBERS.no_change_chance)
+    half = error * intervals.half_width(freedom, level=1.0 - TREND_NUMBERS.no_change_chance)
     growth, low, high = (math.expm1(min(value, 700.0)) for value in (slope, slope - half, slope + half))
     return Trend(
         line=line, kind=kind, channel=channel, order=order, amplitude=tuple(sizes.tolist()), amplitude_ci95=ends,
         growth_per_run=growth, growth_per_run_ci95=(low, high),
-        p_value=float(2.0 * stdtr(known_freedom(freedom), -abs(slope) / error)),
+        p_value=float(2.0 * stdtr(intervals.known_freedom(freedom), -abs(slope) / error)),
     )  # fmt: skip
 
 
@@ -517,7 +498,7 @@ def _bearing_trends(tests: Sequence[Tested], channels: Sequence[str]) -> Iterato
                 key: _LineKey = record.name, record.line, record.seen_in or "vibration", record.channel
                 lines.setdefault(key, record.order)
                 if ends := known(record.amplitude_ci95):
-                    recorded[-1].setdefault(key, (record.size, error_of(record.size, ends)))
+                    recorded[-1].setdefault(key, (record.size, intervals.error_of(record.size, ends)))
     maps = [test.maps["envelope_map"] for test in tests if "envelope_map" in test.maps]
     followed = set()
     for key, order in lines.items():

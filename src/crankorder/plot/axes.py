@@ -202,9 +202,8 @@ def whole_picture(figure: Callable[..., Drawing], given: object, findings: objec
 
     from crankorder.plot.painter import Painted
 
-    drawing = figure(
-        dataset_of(given, noun, picture), findings_of(findings, picture), settings=load_settings(None).report
-    )
+    shown_by = load_settings(None).report
+    drawing = figure(dataset_of(given, noun, picture), findings_of(findings, picture), settings=shown_by)
     shown = plt.figure(figsize=(drawing.width_in, drawing.height_in), facecolor=WHITE)
     shown.add_artist(Painted(drawing))
     return shown

@@ -15,6 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings, ModeFinding, OrderFinding
+from crankorder.plot import reading
 from crankorder.plot.axes import axes_for, channel_of, dress, findings_of, keys_below, painted, positive, scale, y_label
 from crankorder.plot.drawing import ORDER, SOLID, Drawing, Field, Panel, Stroke, Words
 from crankorder.plot.labels import (
@@ -43,16 +44,6 @@ from crankorder.plot.palette import (
     drawable,
     level_colours,
     rgb_of,
-)
-from crankorder.plot.reading import (
-    channel_level,
-    fixed_frequencies,
-    free_bands,
-    is_whirl,
-    not_judged_rpm,
-    open_bands,
-    order_name,
-    order_text,
 )
 from crankorder.quantities import Bools, Floats
 from crankorder.records import known
@@ -257,7 +248,7 @@ def campbell_figure(
     unknown channel.
     """
     number = campbell["channel"].values.tolist().index(channel)
-    reference, text = channel_level(campbell, number, settings=settings)
+    reference, text = reading.channel_level(campbell, number, settings=settings)
     levels = level_map(campbell, number, "frequency", reference, f"Level, {text}")
     drawing = Drawing(settings.width_in, settings.height_in, dpi=settings.dpi)
     box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, settings.height_in - _BOTTOM - _TOP)
@@ -302,7 +293,7 @@ def draw_findings(panel: Panel, levels: LevelMap, findings: Findings, channel: s
     At most ``limit`` orders are drawn.
     """
     lines = _order_lines(panel, levels, findings, channel, limit)
-    modes = [] if levels.timeless and levels.by_order else fixed_frequencies(findings)
+    modes = [] if levels.timeless and levels.by_order else reading.fixed_frequencies(findings)
     strip = _strip(findings)
     for line in lines:
         name = f"order-{line.text}"
@@ -337,8 +328,7 @@ def orders_of(findings: Findings, channel: str, *, limit: int) -> list[OrderFind
 
     The half orders of a four-stroke cycle are what sets it apart: strong whole ones must not hide them.
     """
-    own = (record for record in findings.orders if record.channel == channel)
-    records = sorted(own, key=lambda record: -record.amplitude)
+    records = sorted((of for of in findings.orders if of.channel == channel), key=lambda record: -record.amplitude)
     half = [record for record in records[limit:] if _is_of_cycle(record)]
     return sorted([*records[:limit], *half[:limit]], key=lambda record: record.order)
 
@@ -365,13 +355,13 @@ def _order_lines(panel: Panel, levels: LevelMap, findings: Findings, channel: st
         highest = panel.x[1] if levels.by_order else 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
         step = next((step for step in (1, 2, 5, 10, 20, 50, 100) if highest / step <= _MOST_GUIDES), 0)
         orders = {1.0, *(map(float, np.arange(step, highest, step)) if step else ())}
-        return [_OrderLine(order, order_text(order)) for order in sorted(orders)]
+        return [_OrderLine(order, reading.order_text(order)) for order in sorted(orders)]
     records = [] if levels.timeless else orders_of(findings, channel, limit=limit)
     loudest, lines = max((record.amplitude for record in records), default=0.0), []
     for record in records:
         seen, color = known(record.speed_range_rpm) or panel.y, HALF_ORDER if _is_of_cycle(record) else INK
         bold = record.amplitude == loudest > 0
-        lines.append(_OrderLine(record.order, order_name(record, findings), seen, color, bold))
+        lines.append(_OrderLine(record.order, reading.order_name(record, findings), seen, color, bold))
     return lines
 
 
@@ -382,7 +372,7 @@ def _draw_modes(panel: Panel, levels: LevelMap, modes: list[ModeFinding], channe
     for mode in modes:
         name, _, color, dashes = mode_style(mode)
         alpha = 0.75 if channel in (mode.channels or (channel,)) else 0.4
-        if whirl := is_whirl(mode):
+        if whirl := reading.is_whirl(mode):
             name, dashes, alpha = "whirl", SOLID, 0.75
         if whirl or levels.by_order:
             slope = (mode.speed_slope or 0.0) if whirl else 0.0
@@ -394,16 +384,12 @@ def _draw_modes(panel: Panel, levels: LevelMap, modes: list[ModeFinding], channe
 
 
 def _draw_crossings(panel: Panel, levels: LevelMap, findings: Findings, channel: str) -> bool:
-    places = [
-        (float(levels.of_hertz(crossing.mode_hz, crossing.rpm)), crossing.rpm)
-        for crossing in findings.crossings
-        if crossing.excited and crossing.in_range and channel in (crossing.channels or (channel,))
-    ]
-    if places:
-        x, y = (np.array(values) for values in zip(*places, strict=True))
-        panel.rings(x, y, color="#000000", radius=5.5, width=3.0, alpha=0.56)
-        panel.rings(x, y, color=WHITE, radius=5.5, width=1.5, name="crossings")
-    return bool(places)
+    met = [of for of in findings.crossings if of.excited and of.in_range and channel in (of.channels or (channel,))]
+    if met:
+        hertz, rpm = np.array([(crossing.mode_hz, crossing.rpm) for crossing in met]).T
+        for color, width, alpha, name in (("#000000", 3.0, 0.56, ""), (WHITE, 1.5, 1.0, "crossings")):
+            panel.rings(levels.of_hertz(hertz, rpm), rpm, color=color, radius=5.5, width=width, alpha=alpha, name=name)
+    return bool(met)
 
 
 def _label_edges(
@@ -443,11 +429,11 @@ _StripBand = tuple[str, str, float, float, float | None]
 
 def _strip(findings: Findings) -> list[_StripBand]:
     """Parts of the strip: bands that are not free, free ones, crossings in these not judged, speeds to avoid."""
-    free = free_bands(findings)
-    unsure = [rpm for rpm in not_judged_rpm(findings) if any(low <= rpm <= high for low, high in free)]
+    free = reading.free_bands(findings)
+    unsure = [rpm for rpm in reading.not_judged_rpm(findings) if any(low <= rpm <= high for low, high in free)]
     avoided = [(known(avoid.rpm_range), avoid.rpm) for avoid in findings.speeds_to_avoid or ()]
     return [
-        *((NOT_JUDGED, "not-free", *ends, None) for ends in open_bands(findings)),
+        *((NOT_JUDGED, "not-free", *ends, None) for ends in reading.open_bands(findings)),
         *((FREE, "free", *ends, None) for ends in free),
         *((NOT_JUDGED, "open", rpm * (1 - _OPEN_SHARE), rpm * (1 + _OPEN_SHARE), None) for rpm in unsure),
         *((AVOID, "avoid", *ends, rpm) for ends, rpm in avoided if ends),
@@ -552,7 +538,7 @@ def _on_axes(
     levels = level_map(dataset, number, along, 1.0, label)
     limits = level_limits(levels.amplitude, 1.0, range_db=depth, narrow=True)
     axes = axes_for(ax, picture, height_in=_HIGH_IN if len(levels.speed) > 1 else _STRIP_HIGH_IN)
-    rows = bool(orders_of(shown, name, limit=1)) + bool(fixed_frequencies(shown))
+    rows = bool(orders_of(shown, name, limit=1)) + bool(reading.fixed_frequencies(shown))
     remark = f"{levels.unknown} of unknown speed not shown" if levels.unknown else ""
     y = "Speed not known" if levels.timeless else "Speed, rpm"
     dress(axes, x=x, y=y, title=name, whole=True, rows_above=rows, note=remark)

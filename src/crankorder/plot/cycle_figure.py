@@ -55,22 +55,19 @@ def cycle_figure(cycles: xr.Dataset, findings: Findings, *, settings: ReportSett
     for column, left in enumerate(lefts):
         at_speed, color = cycles.isel(speed=int(shown[column]) if len(shown) else 0), LINES[column]
         for row, box in enumerate(boxes[column]):
-            cycle, label = at_speed.isel(channel=row), ""
+            cycle, label, last = at_speed.isel(channel=row), "", row == len(boxes[column]) - 1
             if column == 0:
                 name = shortened(drawable(cycle["channel"].item(), settings.max_name_characters), NORMAL, box[3])
                 unit = shortened(drawable(unit_text(str(cycle["unit"].item())), 24), NORMAL, box[3])
                 label = f"{name}\n{unit}"
-            _draw_cycle(
-                Panel(drawing, box, *_axis_ends(cycle)), cycle, color, label, last=row == len(boxes[column]) - 1
-            )
+            _draw_cycle(Panel(drawing, box, *_axis_ends(cycle)), cycle, color, label, last=last)
         top = boxes[column][0][1] + boxes[column][0][3]
         _name_marks(drawing, cycles, left, top, width)
         if len(shown):
             drawing.add(Words(left, top + 0.24, _heading(at_speed), NORMAL + 1, color, bold=True))
-    reference = str(cycles.attrs.get("phase_reference", "none"))
-    label = f"Crank angle {_FROM.get(reference, 'from where the recording begins')}, °"
+    origin = _FROM.get(str(cycles.attrs.get("phase_reference", "none")), "from where the recording begins")
     middle = _LEFT + (settings.width_in - _LEFT - _RIGHT) / 2
-    drawing.add(Words(middle, 0.2, label, along="centre"))
+    drawing.add(Words(middle, 0.2, f"Crank angle {origin}, °", along="centre"))
     subtitle = _subtitle(cycles, len(shown))
     head_of_test(drawing, _LEFT, findings, "average cycle", subtitle, longest=settings.max_name_characters)
     return drawing
@@ -107,26 +104,22 @@ def shapes(operating_shapes: xr.Dataset, findings: Findings | Mapping[str, objec
 def _subtitle(cycles: xr.Dataset, shown: int) -> str:
     total = cycles.sizes["speed"]
     some = f"{shown} of {total} speeds. " if shown < total else ""
-    order = float(cycles.attrs["max_order"])
     unknown = int(cycles.attrs["revs_per_cycle"]) > 1 and not int(cycles.attrs["cycle_known"])
     turn = "Which turn fires is not known. " if unknown else ""
     bands = "Mean, 95 % interval (dark), standard deviation (light where it fits, and number)"
-    return f"{some}{turn}{bands}; orders up to {order:g}."
+    return f"{some}{turn}{bands}; orders up to {float(cycles.attrs['max_order']):g}."
 
 
 def _heading(cycle: xr.Dataset) -> str:
     """Column title: speed and number of averaged cycles."""
-    speed = cycle.speed
-    count = cycle.n_cycles.values
-    least, most = int(count.min()), int(count.max())
+    speed, least, most = cycle.speed, int(cycle.n_cycles.min()), int(cycle.n_cycles.max())
     cycles = f"{least}…{most} cycles" if least < most else f"{most} cycle{'s' if most != 1 else ''}"
     return f"{f'{speed:.0f} rpm' if math.isfinite(speed) else 'unknown speed'} · {cycles}"
 
 
 def _name_marks(drawing: Drawing, cycles: xr.Dataset, left: float, top: float, width: float) -> None:
     """Write the names of the dead centres above a column."""
-    revs = int(cycles.attrs["revs_per_cycle"])
-    reference = str(cycles.attrs.get("phase_reference", "none"))
+    revs, reference = int(cycles.attrs["revs_per_cycle"]), str(cycles.attrs.get("phase_reference", "none"))
     plain = _MARKS.get(reference, "")
     fires = reference == "tdc" and revs > 1 and int(cycles.attrs["cycle_known"])
     for turn in range(revs + 1) if plain else ():
@@ -138,10 +131,8 @@ def _name_marks(drawing: Drawing, cycles: xr.Dataset, left: float, top: float, w
 
 def _spread(cycle: xr.Dataset) -> tuple[Floats, Floats, Floats, bool]:
     """Mean, standard deviation and standard error of one cycle, closed at its end; whether the deviation is drawn."""
-    mean, deviation, error = (
-        np.append(cycle[name].values, cycle[name].values[0])
-        for name in ("mean", "standard_deviation", "standard_error")
-    )
+    names = ("mean", "standard_deviation", "standard_error")
+    mean, deviation, error = (np.append(values, values[0]) for values in (cycle[name].values for name in names))
     known = np.nan_to_num(deviation)
     fits = float((mean + known).max() - (mean - known).min()) <= 2.0 * _MOST_SPREAD * _half_range(mean)
     return mean, deviation, error, fits
@@ -234,7 +225,8 @@ def shapes_figure(shapes: xr.Dataset, findings: Findings, *, settings: ReportSet
         top = drawing.height_in - _HEAD_IN - number * block_height
         lefts = [_NAMES_IN + column * cell_width for column in range(len(block))]
         for left, channel in zip(lefts, block, strict=True):
-            _name_column(drawing, at_speed.isel(channel=channel), left, top, cell_width, settings)
+            of_channel = at_speed.isel(channel=channel)
+            _name_column(drawing, of_channel, left, top, cell_width, settings.max_name_characters)
         for row, order in enumerate(orders):
             middle, of_order = top - _HEADER - (row + 0.5) * height, at_speed.isel(order=order)
             edge = middle + height / 2
@@ -290,10 +282,8 @@ def _shapes_subtitle(shapes: xr.Dataset, shown: int) -> str:
     return f"{some}Peak amplitude and phase {zero}; a hand's length compares its row; pale: 95 % interval."
 
 
-def _name_column(
-    drawing: Drawing, channel: xr.Dataset, left: float, top: float, width: float, settings: ReportSettings
-) -> None:
-    name = drawable(str(channel["channel"].item()), settings.max_name_characters)
+def _name_column(drawing: Drawing, channel: xr.Dataset, left: float, top: float, width: float, limit: int) -> None:
+    name = drawable(str(channel["channel"].item()), limit)
     direction = str(channel["direction"].item()) if "direction" in channel.coords else ""
     unit = drawable(unit_text(str(channel["unit"].item())), 24)
     # where a channel is called by its direction that is said once

@@ -9,30 +9,14 @@ from typing import Any
 import numpy as np
 
 from crankorder.findings import Findings, ModeFinding
+from crankorder.plot import palette
 from crankorder.plot.drawing import SOLID, Box, Dashes, Drawing, Panel, Rings, Stroke, Words, title_lines
-from crankorder.plot.palette import (
-    CAP_HEIGHT,
-    DOUBT_DASHES,
-    INK,
-    LARGE,
-    LINES,
-    MAINS,
-    MAINS_ON_MAP,
-    MODE,
-    MODE_DASHES,
-    MODE_ON_MAP,
-    SMALL,
-    TONE_DASHES,
-    drawable,
-    shortened,
-    text_width_in,
-)
 from crankorder.plot.reading import frequency_text, is_tone, is_undecided
 from crankorder.quantities import Floats
 
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125
-_KEY_SIZE = SMALL + 0.5
+_KEY_SIZE = palette.SMALL + 0.5
 _SAMPLE_IN, _GAP_IN, _BETWEEN_IN = 0.3, 0.08, 0.24
 _UP_IN, _DOWN_IN = 0.15, 0.06  # of the first and the second of two rows
 
@@ -50,7 +34,7 @@ class EdgeLabel:
 
 def label_width_in(label: EdgeLabel) -> float:
     """Room in inches that ``label`` needs."""
-    return text_width_in(label.text, SMALL, bold=label.bold) + GAP_IN
+    return palette.text_width_in(label.text, palette.SMALL, bold=label.bold) + GAP_IN
 
 
 def fitted(labels: Sequence[EdgeLabel], length_in: float) -> list[EdgeLabel]:
@@ -67,7 +51,7 @@ def fitted(labels: Sequence[EdgeLabel], length_in: float) -> list[EdgeLabel]:
 
 
 def _words(label: EdgeLabel, x: float, y: float, **placed: Any) -> Words:
-    return Words(x, y, label.text, SMALL, label.color, label.bold, name=f"label-{label.key}", **placed)
+    return Words(x, y, label.text, palette.SMALL, label.color, label.bold, name=f"label-{label.key}", **placed)
 
 
 def _leader(drawing: Drawing, points_in: Sequence[tuple[float, float]], color: str) -> None:
@@ -149,11 +133,12 @@ def head_of_test(
     It begins at ``left_in`` inches; the name of the test is cut at ``longest`` characters. The number of doubts in the
     findings stands at the foot.
     """
-    name = shortened(drawable(findings.test, longest), LARGE, 0.62 * drawing.width_in, bold=True)
+    test = palette.drawable(findings.test, longest)
+    name = palette.shortened(test, palette.LARGE, 0.62 * drawing.width_in, bold=True)
     title_lines(drawing, left_in, f"{name} · {what}", sentence)
     if doubtful := sum(flag.severity in ("suspect", "bad") for flag in findings.quality):
         doubts = f"{doubtful} quality remark{'s' * (doubtful > 1)}: see the report"
-        drawing.add(Words(drawing.width_in - 0.2, 0.14, doubts, SMALL + 0.5, MAINS, along="right"))
+        drawing.add(Words(drawing.width_in - 0.2, 0.14, doubts, palette.SMALL + 0.5, palette.MAINS, along="right"))
 
 
 @dataclass(frozen=True)
@@ -177,7 +162,7 @@ def draw_keys(
     rows: list[list[tuple[Key, float]]] = [[]]
     used = 0.0
     for key in keys:
-        width = _SAMPLE_IN + _GAP_IN + text_width_in(key.text, _KEY_SIZE) + _BETWEEN_IN
+        width = _SAMPLE_IN + _GAP_IN + palette.text_width_in(key.text, _KEY_SIZE) + _BETWEEN_IN
         if rows[-1] and used + width - _BETWEEN_IN > room_in and len(rows) < most:
             rows, used = [*rows, []], 0.0
         rows[-1].append((key, left_in + used))
@@ -185,14 +170,14 @@ def draw_keys(
     for number, row in enumerate(rows):
         down = number and _DOWN_IN + (number - 1) * (_UP_IN + _DOWN_IN)
         base = base_in - down if number or len(rows) == 1 else base_in + _UP_IN
-        middle = base + CAP_HEIGHT / 2 * _KEY_SIZE / 72
+        middle = base + palette.CAP_HEIGHT / 2 * _KEY_SIZE / 72
         for key, x in row:
             if key.ring:
                 drawing.add(Rings(np.array([[x + _SAMPLE_IN / 2, middle]]), 4.0, key.color, width=1.4))
             else:
                 ends = np.array([[x, middle], [x + _SAMPLE_IN, middle]])
                 drawing.add(Stroke(ends, key.color, key.width, key.dashes, square=True))
-            drawing.add(Words(x + _SAMPLE_IN + _GAP_IN, base, key.text, _KEY_SIZE, INK))
+            drawing.add(Words(x + _SAMPLE_IN + _GAP_IN, base, key.text, _KEY_SIZE, palette.INK))
 
 
 Mark = tuple[float, str, str]
@@ -216,15 +201,15 @@ def label_column(panel: Panel, marks: list[Mark], caption: str, above: Sequence[
     tiers = [edge_labels(panel, tier) for tier in (marks, above)]
     lines = label_top(panel.drawing, panel.box, [fitted(labels, panel.box[2]) for labels in tiers])
     if tiers[0] and caption:
-        panel.drawing.add(Words(panel.box[0] - 0.25, lines[0], caption, SMALL, LINES[1], along="right"))
+        panel.drawing.add(Words(panel.box[0] - 0.25, lines[0], caption, palette.SMALL, palette.LINES[1], along="right"))
 
 
 def mode_style(mode: ModeFinding) -> tuple[str, str, str, Dashes]:
     """Kind, colour, colour over a map and dashes of the line of a ``mode``: tone, doubt or natural frequency."""
     if is_tone(mode):
-        return "tone", MAINS, MAINS_ON_MAP, TONE_DASHES
-    kind, dashes = ("doubt", DOUBT_DASHES) if is_undecided(mode) else ("mode", MODE_DASHES)
-    return kind, MODE, MODE_ON_MAP, dashes
+        return "tone", palette.MAINS, palette.MAINS_ON_MAP, palette.TONE_DASHES
+    kind, dashes = ("doubt", palette.DOUBT_DASHES) if is_undecided(mode) else ("mode", palette.MODE_DASHES)
+    return kind, palette.MODE, palette.MODE_ON_MAP, dashes
 
 
 def mode_text(mode: ModeFinding) -> str:
@@ -241,6 +226,6 @@ def mode_keys(modes: list[ModeFinding]) -> list[Key]:
     """Legend of the dashed and dotted lines of ``modes``: natural frequencies, doubts, tones."""
     kinds = {mode_style(mode)[0] for mode in modes}
     tones = {"mains" if mode.kinds == ("mains",) else "fixed tone" for mode in modes if is_tone(mode)}
-    keys = [Key("natural frequency", MODE, MODE_DASHES)] * ("mode" in kinds)
-    keys += [Key("not decided", MODE, DOUBT_DASHES)] * ("doubt" in kinds)
-    return keys + [Key(" or ".join(sorted(tones, reverse=True)), MAINS, TONE_DASHES)] * bool(tones)
+    keys = [Key("natural frequency", palette.MODE, palette.MODE_DASHES)] * ("mode" in kinds)
+    keys += [Key("not decided", palette.MODE, palette.DOUBT_DASHES)] * ("doubt" in kinds)
+    return keys + [Key(" or ".join(sorted(tones, reverse=True)), palette.MAINS, palette.TONE_DASHES)] * bool(tones)

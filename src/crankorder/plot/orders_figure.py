@@ -114,13 +114,9 @@ def shown_tracks(tracks: xr.Dataset, *, limit: int, among: Sequence[int] | None 
     The size of an order is relative to the largest one of its channel. ``among`` are the indices of the orders from
     which to take them; None for all.
     """
-    dims = ("channel", "order", "speed")
     at = np.argsort(tracks["speed"].values, kind="stable")
-    values = {
-        name: tracks[name].transpose(*dims).values[..., at]
-        for name in ("amplitude", "phase", "standard_error", "amplitude_low", "amplitude_high")
-        if name in tracks
-    }
+    names = {"amplitude", "phase", "standard_error", "amplitude_low", "amplitude_high"} & {*tracks}
+    values = {name: tracks[name].transpose("channel", "order", "speed").values[..., at] for name in names}
     amplitude, error = values["amplitude"], values["standard_error"]
     peak = np.max(np.nan_to_num(amplitude), axis=2, initial=0.0).astype(np.float64)
     share = (peak / np.maximum(peak.max(axis=1, initial=0.0, keepdims=True), 1e-300)).max(axis=0, initial=0.0)
@@ -330,12 +326,9 @@ def _remark(shown: ShownTracks, there: int) -> str:
 
 def _draw_points(panel: Panel, shown: ShownTracks) -> None:
     """Points with their intervals against the order, each named above."""
-    columns = (
-        shown.orders.tolist(),
-        shown.texts,
-        *(part[0, :, 0] for part in (shown.amplitude, shown.low, shown.high)),
-    )
-    points = [point for point in zip(*columns, strict=True) if np.isfinite(point[2])]
+    sizes = (part[0, :, 0] for part in (shown.amplitude, shown.low, shown.high))
+    every = zip(shown.orders.tolist(), shown.texts, *sizes, strict=True)
+    points = [point for point in every if np.isfinite(point[2])]
     for order, _, amplitude, low, high in points:
         panel.upright(order, color=LINES[1], width=0.7, alpha=0.3)
         panel.curve(np.full(2, order), np.array([low, high]), color=LINES[1], width=1.2, name="interval")
@@ -374,9 +367,8 @@ def shown_recordings(shaft: xr.Dataset) -> list[int]:
 
 def _spread(trace: Floats) -> float:
     known = trace[np.isfinite(trace)]
-    means = (
-        [float(piece.mean()) for piece in np.array_split(known, min(_SMOOTH, len(known)))] if len(known) > 1 else [1.0]
-    )
+    pieces = np.array_split(known, min(_SMOOTH, len(known))) if len(known) > 1 else [np.ones(1)]
+    means = [float(piece.mean()) for piece in pieces]
     return max(means) / max(min(means), 1e-3)
 
 
@@ -387,13 +379,10 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
     ``speed_trace_low``, ``speed_trace_high`` [rpm] (recording, knot); ``findings`` are those of the same test,
     ``settings`` those of the report.
     """
-    numbers = shown_recordings(shaft)
-    time, speed = (shaft[name].transpose("recording", "knot").values for name in ("trace_time", "speed_trace"))
+    numbers, shaft = shown_recordings(shaft), shaft.transpose("recording", "knot", ...)
+    time, speed = shaft["trace_time"].values, shaft["speed_trace"].values
     time = time - np.nanmin(time, axis=1, keepdims=True, initial=np.inf)
-    low, high = (
-        shaft[name].transpose("recording", "knot").values if name in shaft else speed
-        for name in ("speed_trace_low", "speed_trace_high")
-    )
+    low, high = (shaft.get(f"speed_trace_{end}", shaft["speed_trace"]).values for end in ("low", "high"))
     drawing = Drawing(settings.width_in, _SPEED_HEIGHT)
     box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _SPEED_RIGHT, _SPEED_HEIGHT - _BOTTOM - _SPEED_TOP)
     ends = _ends(low[numbers], high[numbers], from_zero=bool(changing_recordings(shaft)))
@@ -439,12 +428,11 @@ def _ends(low: Floats, high: Floats, *, from_zero: bool) -> tuple[float, float]:
 
 
 def _speed_subtitle(shaft: xr.Dataset, numbers: list[int]) -> str:
-    speed = shaft["speed_trace"].transpose("recording", "knot").values[numbers]
+    speed = shaft["speed_trace"].values[numbers]
     rest = shaft.sizes["recording"] - len(numbers)
-    what = (
-        ("keeps its speed", "keep their speed") if changing_recordings(shaft) else ("has no encoder", "have no encoder")
-    )
-    more = f" {rest} other{'s' * (rest > 1)} {what[rest > 1]}." if rest else ""
+    kept, none = ("keep their", "have no") if rest > 1 else ("keeps its", "has no")
+    what = f"{kept} speed" if changing_recordings(shaft) else f"{none} encoder"
+    more = f" {rest} other{'s' * (rest > 1)} {what}." if rest else ""
     return (
         f"{np.nanmin(speed, initial=np.inf):.0f} to {np.nanmax(speed, initial=0.0):.0f} rpm; "
         f"the band: lowest to highest within each piece of time, with the noise of the encoder's edges.{more}"

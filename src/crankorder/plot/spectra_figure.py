@@ -17,17 +17,8 @@ import xarray as xr
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
-from crankorder.plot.axes import (
-    axes_for,
-    channel_of,
-    dress,
-    keys_below,
-    painted,
-    positive,
-    scale,
-    values_of,
-    y_label,
-)
+from crankorder.plot import reading
+from crankorder.plot.axes import axes_for, channel_of, dress, keys_below, painted, positive, scale, values_of, y_label
 from crankorder.plot.campbell_figure import orders_of
 from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words, log_limits
 from crankorder.plot.labels import (
@@ -56,19 +47,6 @@ from crankorder.plot.palette import (
     drawable,
     shortened,
 )
-from crankorder.plot.reading import (
-    fixed_frequencies,
-    frequency_text,
-    is_number,
-    is_tone,
-    nominal_order,
-    order_name,
-    order_text,
-    order_texts,
-    scaling_text,
-    speed_text,
-    strongest_by,
-)
 from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
 
@@ -95,14 +73,15 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     width = (settings.width_in - _LEFT - _BETWEEN - _RIGHT) / 2
     drawing, places = column_boxes(campbell.sizes["channel"], width, settings, lefts=(_LEFT, _LEFT + width + _BETWEEN))
     peak = campbell["amplitude"].transpose("channel", "speed", "frequency").values[:, fastest]
-    scaling = scaling_text(campbell)
+    scaling = reading.scaling_text(campbell)
     # lines that move with speed vanish from the median over the speeds, what stays put remains
     density = campbell["psd"].transpose("channel", "speed", "frequency").values
     median, frequency = np.asarray(np.median(density, axis=1), dtype=float), campbell["frequency"].values
     left = column_panels(drawing, places[0], campbell, median, "²/Hz", settings=settings)
     right = column_panels(drawing, places[1], campbell, peak, f" {scaling}", settings=settings)
-    modes = _mark_modes(left, fixed_frequencies(findings))
-    orders = _mark_orders(right, campbell, findings, float(speed[fastest]), limit=settings.max_labelled_orders)
+    modes = _mark_modes(left, reading.fixed_frequencies(findings))
+    names, limit = campbell["channel"].values.astype(str).tolist(), settings.max_labelled_orders
+    orders = _mark_orders(right, names, findings, float(speed[fastest]), limit=limit)
     for panel, values in zip([*left, *right], [*median, *peak], strict=True):
         draw_spectrum(panel, frequency, values)
     label_column(left[0], modes, "")
@@ -128,14 +107,14 @@ def spectrum_figure(
     fastest = int(np.argmax(np.nan_to_num(campbell["speed"].values)))
     row = campbell.isel(channel=[campbell["channel"].values.tolist().index(channel)], speed=fastest)
     rpm, peak = float(row["speed"]), row["amplitude"].transpose("channel", "frequency").values
-    fixed = fixed_frequencies(findings)
+    fixed = reading.fixed_frequencies(findings)
     own = replace(findings, orders=tuple(orders_of(findings, channel, limit=settings.max_labelled_orders)))
     causes, low = _causes(own, fixed), _ONE_AXIS + _ORDER_AXIS * (rpm > 0.0)
     drawing, right = Drawing(settings.width_in, settings.height_in), _CAUSES if causes else _RIGHT
     box = (_LEFT, low, settings.width_in - _LEFT - right, settings.height_in - low - _TWO_TIERS)
-    panels = column_panels(drawing, [box], row, peak, f" {scaling_text(row)}", settings=settings)
+    panels = column_panels(drawing, [box], row, peak, f" {reading.scaling_text(row)}", settings=settings)
     modes = _mark_modes(panels, fixed)
-    orders = _mark_orders(panels, row, own, rpm, limit=len(own.orders))
+    orders = _mark_orders(panels, [channel], own, rpm, limit=len(own.orders))
     draw_spectrum(panels[0], row["frequency"].values, peak[0])
     label_column(panels[0], orders, "order", modes)
     if rpm > 0.0:
@@ -147,7 +126,7 @@ def spectrum_figure(
         cause, place = shortened(drawable(text, 200), SMALL, right - 0.25), low + box[3] - number * _LINE
         drawing.add(Words(settings.width_in - right + 0.15, place, cause, SMALL, color, name="cause"))
     draw_keys(drawing, _LEFT, [Key("order found", LINES[1])] * bool(orders) + mode_keys(fixed), room_in=box[2])
-    subtitle = drawable(sentence, 300) or f"Amplitude {scaling_text(row)} against frequency."
+    subtitle = drawable(sentence, 300) or f"Amplitude {reading.scaling_text(row)} against frequency."
     what = f"channel {drawable(channel, settings.max_name_characters)}"
     at = f" at {rpm:.0f} rpm" if rpm > 0.0 else ", speed unknown"
     head_of_test(drawing, _LEFT, findings, f"{what}{at}", subtitle, longest=settings.max_name_characters)
@@ -157,9 +136,9 @@ def spectrum_figure(
 def _causes(findings: Findings, fixed: list[ModeFinding]) -> list[tuple[str, str]]:
     """Text lines and their colours: each cause, followed by its orders and tones."""
     orders = sorted(findings.orders, key=lambda order: -order.amplitude)
-    places = [(order.explained_by, order_name(order, findings), LINES[1]) for order in orders]
-    tones = [mode for mode in fixed if is_tone(mode)]
-    places += [(tone.explained_by, f"{frequency_text(tone.frequency_hz)} Hz", MAINS) for tone in tones]
+    places = [(order.explained_by, reading.order_name(order, findings), LINES[1]) for order in orders]
+    tones = [mode for mode in fixed if reading.is_tone(mode)]
+    places += [(tone.explained_by, f"{reading.frequency_text(tone.frequency_hz)} Hz", MAINS) for tone in tones]
     causes: dict[tuple[str, str], list[str]] = {}
     for cause, place, color in places:
         causes.setdefault((cause or "unexplained", color), []).append(place)
@@ -198,16 +177,16 @@ def column_panels(
     """
     along, title = ("order", ORDER) if "order" in dataset.dims else ("frequency", "Frequency, Hz")
     place, units = dataset[along].values, dataset["unit"].values.astype(str)
-    panels = []
+    of_power = "²/Hz" in unit_tail
+    panels, decades = [], DECADES * (1.5 if of_power else 1.0)
     for number, box in enumerate(boxes):
-        decades = DECADES * (1.5 if "²/Hz" in unit_tail else 1.0)
         limits = log_limits(values[units == units[number]], decades, room=2.5)
         panel = Panel(drawing, box, (float(place[0]), float(place[-1])), limits or (0.0, 1.0), limits is not None)
         last = number == len(boxes) - 1
         panel.x_axis(title if last else "", most=10, named=last)
         name = drawable(dataset["channel"].values[number], settings.max_name_characters)
         unit = drawable(unit_text(units[number]), 24)
-        unit = f"({unit})" if "²/Hz" in unit_tail and "/" in unit else unit
+        unit = f"({unit})" if of_power and "/" in unit else unit
         label = f"{shortened(name, NORMAL, box[3])}\n{unit}{unit_tail}"
         panel.y_axis(label, most=5, places=None if panel.log_y else [], at_in=_LABEL_AT)
         panel.frame()
@@ -231,16 +210,14 @@ def _mark_modes(panels: list[Panel], modes: list[ModeFinding]) -> list[Mark]:
     return mode_marks(modes)
 
 
-def _mark_orders(
-    panels: list[Panel], campbell: xr.Dataset, findings: Findings, rpm: float, *, limit: int
-) -> list[Mark]:
+def _mark_orders(panels: list[Panel], names: list[str], findings: Findings, rpm: float, *, limit: int) -> list[Mark]:
     if not np.isfinite(rpm):
         return []
-    in_channel = {(record.channel, nominal_order(record)) for record in findings.orders}
-    strongest = strongest_by(findings.orders, nominal_order)
+    in_channel = {(record.channel, reading.nominal_order(record)) for record in findings.orders}
+    strongest = reading.strongest_by(findings.orders, reading.nominal_order)
     kept = sorted(sorted(strongest, key=lambda order: -strongest[order].amplitude)[:limit])
-    marks = [(order * rpm / 60, text, LINES[1]) for order, text in zip(kept, order_texts(kept), strict=True)]
-    for panel, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):
+    marks = [(order * rpm / 60, text, LINES[1]) for order, text in zip(kept, reading.order_texts(kept), strict=True)]
+    for panel, channel in zip(panels, names, strict=True):
         for order, (hertz, text, color) in zip(kept, marks, strict=True):
             alpha = 0.6 if (channel, order) in in_channel else 0.25
             panel.upright(hertz, color=color, width=0.7, alpha=alpha, name=f"order-{text}")
@@ -260,17 +237,17 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
     """
     drawing, (boxes,) = column_boxes(order_map.sizes["channel"], settings.width_in - _LEFT - _RIGHT, settings)
     order, (mean, floor) = order_map["order"].values, _mean_levels(order_map)
-    panels = column_panels(drawing, boxes, order_map, mean, f" {scaling_text(order_map)}", settings=settings)
-    orders = sorted({nominal_order(record) for record in findings.orders})
+    panels = column_panels(drawing, boxes, order_map, mean, f" {reading.scaling_text(order_map)}", settings=settings)
+    orders = sorted({reading.nominal_order(record) for record in findings.orders})
     for number, (panel, channel) in enumerate(zip(panels, order_map["channel"].values.tolist(), strict=True)):
         for place in orders:
             panel.upright(place, color=LINES[1], width=0.7, alpha=0.25)
         if np.any(floor[number] > 0):
             panel.curve(order, floor[number], color=LIGHT, width=1.4, name="floor")
         draw_spectrum(panel, order, mean[number])
-        own = sorted({nominal_order(record) for record in findings.orders if record.channel == channel})
+        own = sorted({reading.nominal_order(record) for record in findings.orders if record.channel == channel})
         ring_lines(panel, order, mean[number], own)
-    marks = [(order, text, LINES[1]) for order, text in zip(orders, order_texts(orders), strict=True)]
+    marks = [(order, text, LINES[1]) for order, text in zip(orders, reading.order_texts(orders), strict=True)]
     label_column(panels[0], marks, "order")
     keys = [Key("floor: median of the orders around", LIGHT)] if drawing.strokes("floor") else []
     draw_keys(drawing, _LEFT, keys + [Key("order found in the channel", LINES[1], ring=True)] * bool(orders))
@@ -304,8 +281,7 @@ def _mean_levels(order_map: xr.Dataset) -> tuple[Floats, Floats]:
     """
     amplitude = order_map["amplitude"].transpose("channel", "speed", "order").values.astype(np.float64)
     order = order_map["order"].values
-    step = float(order[1] - order[0]) if len(order) > 1 else 1.0
-    reach = max(round(_AROUND / step), 1)
+    reach = max(round(_AROUND / float(order[1] - order[0])), 1) if len(order) > 1 else 1
     beside = np.pad(amplitude, ((0, 0), (0, 0), (reach, reach)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(beside, 2 * reach + 1, axis=-1)
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
@@ -365,7 +341,7 @@ def _by_speed(dataset: xr.Dataset, channel: int) -> dict[str, Floats]:
         return {"largest": known.max(axis=0), "median": np.median(known, axis=0)}
     lines: dict[str, Floats] = {}
     for number in measured:
-        text = speed_text(speed[number])
+        text = reading.speed_text(speed[number])
         lines[text if text not in lines else f"{text} ({number + 1})"] = amplitude[number]
     return lines
 
@@ -389,8 +365,8 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     drawing, (boxes,) = column_boxes(envelope.sizes["channel"], width, settings)
     mean, floor = (_mean_over_speeds(envelope, name) for name in ("amplitude", "floor"))
     panels = column_panels(drawing, boxes, envelope, mean, " (envelope)", settings=settings)
-    records = [record for record in findings.bearings if record.seen_in == "envelope" and is_number(record.order)]
-    texts = {record.order: order_name(record, findings) for record in records}
+    heard = [record for record in findings.bearings if record.seen_in == "envelope"]
+    texts = {of.order: reading.order_name(of, findings) for of in heard if reading.is_number(of.order)}
     seen = [(order, text, LINES[1]) for order, text in texts.items()]
     marks, is_line_seen = _expected(findings, width - _labels_width_in(seen)), False
     for number, (panel, channel) in enumerate(zip(panels, envelope["channel"].values.astype(str), strict=True)):
@@ -446,7 +422,7 @@ def _expected(findings: Findings, width_in: float) -> list[Mark]:
 
     Names of bearings are as long as all texts together fit into ``width_in`` inches.
     """
-    records = [record for record in findings.bearings if is_number(record.order_expected)]
+    records = [record for record in findings.bearings if reading.is_number(record.order_expected)]
     records.sort(key=lambda record: record.order_expected)
     choices = []
     for letters in _NAME_LETTERS:
@@ -457,7 +433,8 @@ def _expected(findings: Findings, width_in: float) -> list[Mark]:
             if len(names) > 1:
                 text = f"{text} {names[drawable(record.name, _NAME_LETTERS[0])]}"
             texts.setdefault(record.order_expected, {})[text] = None
-        choices.append([(order, f"{', '.join([*of][:2])} {order_text(order)}", MODE) for order, of in texts.items()])
+        called = {order: f"{', '.join([*of][:2])} {reading.order_text(order)}" for order, of in texts.items()}
+        choices.append([(order, text, MODE) for order, text in called.items()])
     return next((marks for marks in choices if _labels_width_in(marks) <= width_in), choices[-1])
 
 
@@ -487,7 +464,7 @@ def _draw_bearing_lines(panel: Panel, orders: Floats, values: Floats, findings: 
     for record in findings.bearings:
         order, apart = record.order, record.sidebands or 0.0
         own = record.channel in (None, channel) and record.seen_in == "envelope"
-        if not own or not is_number(order) or not len(orders):
+        if not own or not reading.is_number(order) or not len(orders):
             continue
         places.append(order)
         for number in range(2, min(int(record.harmonics or 1), _MULTIPLES) + 1):
@@ -530,11 +507,12 @@ def envelope(
     at = _speed_at(dataset, order, amplitude, floor, speed_rpm)
     axes = axes_for(ax, "envelope", height_in=4.2)
     lines = _significant_orders(order, amplitude[at], floor[at])
-    texts = order_texts([nominal_order(place) for place in lines])
+    texts = reading.order_texts([reading.nominal_order(place) for place in lines])
     marks = [(place, text, LINES[1]) for place, text in zip(lines, texts, strict=True)]
     quantity, _, scaling_and_unit = y_label(dataset, number).partition(" (")
     label = f"Envelope of {quantity.lower()}{scaling_and_unit.partition(')')[2]}"
-    title, where = str(dataset["channel"].values[number]), _speed_and_band(dataset, number, at)
+    title, drawn = str(dataset["channel"].values[number]), dataset.isel(speed=slice(at, at + 1))
+    where = ", ".join(filter(None, [*map(reading.speed_text, drawn["speed"].values), _band(drawn, number)]))
     dress(axes, x=ORDER, y=label, title=title, rows_above=bool(lines), note=where)
     scale(axes, order, log_limits(amplitude[at], DECADES, room=2.5))
 
@@ -557,12 +535,6 @@ def _speed_at(dataset: xr.Dataset, order: Floats, amplitude: Floats, floor: Floa
         over = np.where((floor > 0) & (order > 0), amplitude / floor, 0.0)
     over = over if np.any(over > 0) else np.where(order > 0, amplitude, 0.0)
     return int(np.argmax(np.max(np.nan_to_num(over), axis=1, initial=0.0)))
-
-
-def _speed_and_band(dataset: xr.Dataset, channel: int, at: int) -> str:
-    """Speed [rpm] and frequency band [Hz] of the spectrum drawn, as text."""
-    own = dataset.isel(speed=slice(at, at + 1))
-    return ", ".join(filter(None, [*map(speed_text, own["speed"].values), _band(own, channel)]))
 
 
 def _band(dataset: xr.Dataset, channel: int) -> str:

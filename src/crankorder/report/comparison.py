@@ -35,7 +35,7 @@ from crankorder.plot.reading import (
     with_interval,
 )
 from crankorder.records import known
-from crankorder.report.sentences.story import Answer, Story
+from crankorder.report.sentences.story import INTERVALS, Answer, Story
 from crankorder.report.tables import Table, table_of
 from crankorder.settings import ReportSettings
 
@@ -77,12 +77,9 @@ def trend_verdict(trend: Trend) -> str:
 def _headline(comparison: Comparison) -> list[str]:
     """The few sentences that matter most, the cause first."""
     sentences = _cause_sentences(comparison)
-    sentences += [
-        f"The first test was {confound.base}, the second {confound.new}: what combustion changes is no change of the "
-        "build."
-        for confound in comparison.confounds
-        if confound.what == FIRING
-    ]
+    build = "what combustion changes is no change of the build"
+    fired = [confound for confound in comparison.confounds if confound.what == FIRING]
+    sentences += [f"The first test was {confound.base}, the second {confound.new}: {build}." for confound in fired]
     left_out = [short(channel.name) for channel in comparison.channels if not channel.compared]
     if 0 < len(left_out) < len(comparison.channels):
         shown = left_out[:_MANY] + [f"{len(left_out) - _MANY} more"] * (len(left_out) > _MANY)
@@ -139,18 +136,7 @@ def builds_headline(tests: Mapping[str, Comparison], alone: Sequence[str]) -> li
 
 def comparison_story(comparison: Comparison) -> Story:
     """What changed, why, how sure and what to do, from a ``comparison``; the cause itself stands in the headline."""
-    return Story(
-        what=[
-            *_mode_sentences(comparison), *_order_sentences(comparison), *_growth_sentences(comparison),
-            *_kept_sentences(comparison),
-        ],
-        why=[
-            *_cause_sentences(comparison), *_law_sentences(comparison), *_mass_sentences(comparison),
-            *_balance_sentences(comparison),
-        ],
-        how_sure=_how_sure(comparison),
-        what_to_do=_what_to_do(comparison),
-    )  # fmt: skip
+    return {answer: [text for say in parts for text in say(comparison)] for answer, (_, parts) in _ANSWERS.items()}
 
 
 def _best_unbalance(comparison: Comparison) -> UnbalanceRecord | None:
@@ -407,12 +393,11 @@ def _mass_sentences(comparison: Comparison) -> list[str]:
         return [f"The residual along the cylinder was {before} before and is {after} now, by the stated mass."]
     # grams where all stated masses sit at one radius
     per_gmm, unit = (1.0 / trial.radius_mm, "g") if trial.radius_mm else (1.0, "g·mm")
+    angles = {"residual_rotating_gmm": trial.angle_deg, "residual_after_gmm": trial.angle_after_deg}
     before, after = (
         estimate_text(trial, size, unit=unit, factor=per_gmm) + (f" at {angle:.0f}°" if is_number(angle) else "")
-        for size, angle in (
-            ("residual_rotating_gmm", trial.angle_deg), ("residual_after_gmm", trial.angle_after_deg)
-        )
-    )  # fmt: skip
+        for size, angle in angles.items()
+    )
     return [f"The unbalance was {before} before and is {after} now, by the stated mass."]
 
 
@@ -436,17 +421,15 @@ def _balance_sentences(comparison: Comparison) -> list[str]:
 
 def _how_sure(comparison: Comparison) -> list[str]:
     q = number_text(100 * comparison.false_discovery_rate, digits=2)
-    sentences = [
-        f"Numbers in brackets are 95 % intervals. Of all changes that are claimed at most {q} % are chance, on "
-        "average; where nothing changed, so often anything is claimed at all."
-    ]
-    weights = {"invalid": "not compared", "weakens": "weakens the comparison"}
+    claims = f"Of all changes that are claimed at most {q} % are chance, on average"
+    weights, doubts = {"invalid": "not compared", "weakens": "weakens the comparison"}, []
     for confound in comparison.confounds:  # the worst first
         if weight := weights.get(confound.severity):
             what = f"{_capital(confound.what)} {short(confound.channel)}".strip()
             values = f"{short(confound.base)} / {short(confound.new)}"
-            sentences.append(f"{what} ({values}): {weight}. {_capital(confound.words)}.")
-    return [sentences[0], *_undecided_sentences(comparison), *sentences[1 : _MANY + 2]]
+            doubts.append(f"{what} ({values}): {weight}. {_capital(confound.words)}.")
+    sure = f"{INTERVALS} {claims}; where nothing changed, so often anything is claimed at all."
+    return [sure, *_undecided_sentences(comparison), *doubts[: _MANY + 1]]
 
 
 def _capital(text: str) -> str:
@@ -467,8 +450,16 @@ def _what_to_do(comparison: Comparison) -> list[str]:
     return [text for text, holds in advice.items() if holds]
 
 
-_ANSWERS: dict[Answer, str] = {"what": "What changed", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}
+_ANSWERS: dict[Answer, tuple[str, tuple[Callable[[Comparison], list[str]], ...]]] = {
+    "what": ("What changed", (_mode_sentences, _order_sentences, _growth_sentences, _kept_sentences)),
+    "why": ("Why", (_cause_sentences, _law_sentences, _mass_sentences, _balance_sentences)),
+    "how_sure": ("How sure", (_how_sure,)),
+    "what_to_do": ("What to do", (_what_to_do,)),
+}
+"""Title of each answer of the page, and what is said there."""
+
 _MARKED = frozenset({"yes", "invalid", "weakens"})
+_TABLES = ("orders", "modes", "unbalance", "masses", "balance", "trend", "confounds")  # as they stand on the page
 
 
 def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], settings: ReportSettings) -> str:
@@ -480,15 +471,16 @@ def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], 
 
     limit = settings.max_name_characters
     story, lead = comparison_story(comparison), comparison.headline[0]
-    tables = {name: table(comparison, partial(named, limit=limit)) for name, table in _TABLES.items()}
+    shorten = partial(named, limit=limit)
+    tables = _tables_of_orders(comparison, shorten) | _other_tables(comparison, shorten)
     return rendered_page(
         "comparison.html",
         base=named(comparison.base, limit=limit),
         new=named(comparison.new, limit=limit),
         lead=lead,
-        story=[(title, [sentence for sentence in story[key] if sentence != lead]) for key, title in _ANSWERS.items()],
+        story=[(_ANSWERS[key][0], [text for text in texts if text != lead]) for key, texts in story.items()],
         pictures=[(f"./{file}", named(caption, limit=4 * limit)) for file, caption in pictures],
-        tables=[(name, table) for name, table in tables.items() if table.rows or table.empty],
+        tables=[(name, tables[name]) for name in _TABLES if tables[name].rows or tables[name].empty],
         marked=_MARKED,
     )
 
@@ -500,100 +492,67 @@ _YES = {True: "yes", False: "no"}
 _chance = partial(number_text, digits=2)
 
 
-def _orders(comparison: Comparison, short: Shorten) -> Table:
-    rows = [
-        [
-            short(r.channel), order_text(r.order), short(r.explained_by or "–"), _YES[r.changed],
-            estimate_text(r, "ratio"), estimate_text(r, "ratio_db"), number_text(r.speed_rpm, digits=4),
-            number_text(r.base_amplitude), number_text(r.new_amplitude), estimate_text(r, "difference"),
-            unit_text(r.unit), f"{r.n_changed} of {r.n_speeds}", _chance(r.p_value),
-        ]
-        for r in sorted(comparison.orders, key=lambda record: (not record.changed, record.channel, record.order))
-    ]  # fmt: skip
-    heads = "Channel|Order#|Made by|Changed|Ratio#|Ratio, dB#|Speed of the clearest change, rpm#|First#|Second#"
-    heads += "|Difference#|Unit|Speeds changed#|p#"
-    note = "Ratio: second test over first, mean of the speeds at which both show the order clearly. p: chance of so "
-    note += "large a change where nothing changed."
-    return table_of("Orders", heads, rows, empty="No order could be compared.", note=note)
+def _tables_of_orders(comparison: Comparison, short: Shorten) -> dict[str, Table]:
+    """Tables by name of what became of orders and of the unbalance that they show."""
+    unbalance, trial = comparison.unbalance, comparison.trial_mass
+    at = f"{unbalance[0].reference_rpm if unbalance else 0.0:.0f} rpm"
+    return {
+        "orders": table_of(
+            "Orders", "Channel|Order#|Made by|Changed|Ratio#|Ratio, dB#|Speed of the clearest change, rpm#|First#|"
+            "Second#|Difference#|Unit|Speeds changed#|p#",
+            [[short(r.channel), order_text(r.order), short(r.explained_by or "–"), _YES[r.changed],
+              estimate_text(r, "ratio"), estimate_text(r, "ratio_db"), number_text(r.speed_rpm, digits=4),
+              number_text(r.base_amplitude), number_text(r.new_amplitude), estimate_text(r, "difference"),
+              unit_text(r.unit), f"{r.n_changed} of {r.n_speeds}", _chance(r.p_value)]
+             for r in sorted(comparison.orders, key=lambda record: (not record.changed, record.channel, record.order))],
+            empty="No order could be compared.",
+            note="Ratio: second test over first, mean of the speeds at which both show the order clearly. p: chance of "
+            "so large a change where nothing changed.",
+        ),
+        "unbalance": table_of(
+            "Change of unbalance", "Channel|Order#|Explains the change|After over before#|Turned by, °#|Chance of a "
+            f"worse fit: one factor#|Change at {at}, as speed²#|Unit|Chance of a worse fit: speed²#",
+            [[short(r.channel), order_text(r.order), _YES[r.explains], estimate_text(r, "factor"),
+              estimate_text(r, "turned_deg"), _chance(r.one_factor_p), estimate_text(r, "square_law_amplitude"),
+              unit_text(r.unit), _chance(r.square_law_p)] for r in unbalance],
+            note="One factor at all speeds: the same path led from another unbalance to the sensor. A change that "
+            "grows as speed² besides: that path is stiff.",
+        ),
+        "masses": table_of(
+            "Influence of the added mass", "Channel|Speed, rpm#|Response#|Phase, °#",
+            [[short(of.channel), number_text(of.speed_rpm, digits=4), number_text(of.response_per_unit),
+              number_text(of.phase_deg)] for of in (trial.influence if trial else ())],
+            note="Response to one g (on a piston) or g·mm (on the crank) of the mass that the manifests state.",
+        ),
+        "balance": table_of(
+            "Balance closed with the engine model", "Quantity|Changed|First#|Second#|Change#",
+            [[mass.quantity.replace("_", " "), _YES[mass.changed], number_text(mass.base), number_text(mass.new),
+              estimate_text(mass, "change")] for mass in comparison.balance],
+        ),
+    }  # fmt: skip
 
 
-def _modes(comparison: Comparison, _: Shorten) -> Table:
-    rows = [
-        [
-            frequency_text(mode.frequency_hz),
-            _YES[mode.changed] if mode.only_in is None else "seen in one test only",
-            estimate_text(mode, "shift_hz"), estimate_text(mode, "damping_change"), _chance(mode.p_value),
-        ]
-        for mode in comparison.modes
-    ]  # fmt: skip
-    note = "That only one test shows a natural frequency is no claim: the other may have hidden it."
-    heads = "Natural frequency, Hz#|Changed|Shift, Hz#|Change of damping ratio#|p#"
-    return table_of("Natural frequencies", heads, rows, empty="None could be compared.", note=note if rows else "")
-
-
-def _unbalance(comparison: Comparison, short: Shorten) -> Table:
-    rows = [
-        [
-            short(r.channel), order_text(r.order), _YES[r.explains], estimate_text(r, "factor"),
-            estimate_text(r, "turned_deg"), _chance(r.one_factor_p), estimate_text(r, "square_law_amplitude"),
-            unit_text(r.unit), _chance(r.square_law_p),
-        ]
-        for r in comparison.unbalance
-    ]  # fmt: skip
-    reference = comparison.unbalance[0].reference_rpm if rows else 0.0
-    heads = "Channel|Order#|Explains the change|After over before#|Turned by, °#|Chance of a worse fit: one factor#"
-    heads += f"|Change at {reference:.0f} rpm, as speed²#|Unit|Chance of a worse fit: speed²#"
-    note = "One factor at all speeds: the same path led from another unbalance to the sensor. A change that grows as "
-    return table_of("Change of unbalance", heads, rows, note=note + "speed² besides: that path is stiff.")
-
-
-def _masses(comparison: Comparison, short: Shorten) -> Table:
-    rows = [
-        [
-            short(of.channel), number_text(of.speed_rpm, digits=4), number_text(of.response_per_unit),
-            number_text(of.phase_deg),
-        ]
-        for of in (comparison.trial_mass.influence if comparison.trial_mass else ())
-    ]  # fmt: skip
-    note = "Response to one g (on a piston) or g·mm (on the crank) of the mass that the manifests state."
-    return table_of("Influence of the added mass", "Channel|Speed, rpm#|Response#|Phase, °#", rows, note=note)
-
-
-def _balance(comparison: Comparison, _: Shorten) -> Table:
-    rows = [
-        [
-            mass.quantity.replace("_", " "), _YES[mass.changed], number_text(mass.base), number_text(mass.new),
-            estimate_text(mass, "change"),
-        ]
-        for mass in comparison.balance
-    ]  # fmt: skip
-    return table_of("Balance closed with the engine model", "Quantity|Changed|First#|Second#|Change#", rows)
-
-
-def _trend(comparison: Comparison, short: Shorten) -> Table:
-    rows = [
-        [
-            short(t.line), t.kind, short(t.channel), _YES[t.changed], estimate_text(t, "growth_per_run", factor=100),
-            ", ".join(number_text(value) for value in t.amplitude), _chance(t.p_value), t.verdict,
-        ]
-        for t in sorted(comparison.trend, key=lambda trend: (not trend.changed, trend.kind, trend.line))
-    ]  # fmt: skip
-    heads = "Line|Kind|Channel|Changed|Growth per run, %#|Amplitude by run#|p#|Verdict"
-    return table_of("Trend over the runs", heads, rows, note="Runs: " + ", ".join(comparison.runs) + ".")
-
-
-def _confounds(comparison: Comparison, short: Shorten) -> Table:
-    rows = [
-        [c.severity, f"{c.what} {short(c.channel)}".strip(), short(c.base), short(c.new), c.words]
-        for c in comparison.confounds
-    ]
-    heads = "Weight|What differs|First|Second|What it does"
-    empty = "Both tests were made and analysed alike."
-    return table_of("What else differs (confounds)", heads, rows, empty=empty)
-
-
-_TABLES: dict[str, Callable[[Comparison, Shorten], Table]] = {
-    "orders": _orders, "modes": _modes, "unbalance": _unbalance, "masses": _masses, "balance": _balance,
-    "trend": _trend, "confounds": _confounds,
-}  # fmt: skip
-"""Tables of the page by name; one without rows is shown where it has words for that."""
+def _other_tables(comparison: Comparison, short: Shorten) -> dict[str, Table]:
+    """Tables by name of natural frequencies, of lines over the runs and of what else differs."""
+    return {
+        "modes": table_of(
+            "Natural frequencies", "Natural frequency, Hz#|Changed|Shift, Hz#|Change of damping ratio#|p#",
+            [[frequency_text(mode.frequency_hz), _YES[mode.changed] if mode.only_in is None else
+              "seen in one test only", estimate_text(mode, "shift_hz"), estimate_text(mode, "damping_change"),
+              _chance(mode.p_value)] for mode in comparison.modes],
+            empty="None could be compared.", note="That only one test shows a natural frequency is no claim: the other "
+            "may have hidden it." if comparison.modes else "",
+        ),
+        "trend": table_of(
+            "Trend over the runs", "Line|Kind|Channel|Changed|Growth per run, %#|Amplitude by run#|p#|Verdict",
+            [[short(t.line), t.kind, short(t.channel), _YES[t.changed], estimate_text(t, "growth_per_run", factor=100),
+              ", ".join(map(number_text, t.amplitude)), _chance(t.p_value), t.verdict]
+             for t in sorted(comparison.trend, key=lambda trend: (not trend.changed, trend.kind, trend.line))],
+            note=f"Runs: {', '.join(comparison.runs)}.",
+        ),
+        "confounds": table_of(
+            "What else differs (confounds)", "Weight|What differs|First|Second|What it does",
+            [[c.severity, f"{c.what} {short(c.channel)}".strip(), short(c.base), short(c.new), c.words]
+             for c in comparison.confounds], empty="Both tests were made and analysed alike.",
+        ),
+    }  # fmt: skip

@@ -420,10 +420,9 @@ def _column(column: Column, values: list[Any]) -> tuple[tuple[str, ...], NDArray
     about = {"long_name": column.text} | ({"units": units} if units else {})
     if column.kind == "bool":
         return ("record",), np.array([-1 if value is None else int(value) for value in values], dtype=np.int8), about
-    if column.kind == "number":
-        return ("record",), np.array(values, dtype=np.float64), about
-    if column.kind == "interval":
-        return ("record", "bound"), np.array([value or (None, None) for value in values], dtype=np.float64), about
+    if column.kind in ("number", "interval"):
+        dims, none = (("record",), None) if column.kind == "number" else (("record", "bound"), (None, None))
+        return dims, np.array([none if value is None else value for value in values], dtype=np.float64), about
     parts = ([value] if isinstance(value, str) else value or () for value in values)
     texts = [", ".join(map(str, part)) for part in parts]
     return ("record",), np.array(texts, dtype=object), {"long_name": column.text}

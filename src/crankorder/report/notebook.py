@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import Findings
+from crankorder.plot.axes import findings_of
 from crankorder.report.sentences.story import headline
 from crankorder.report.tables import Table, tables_of
 
@@ -48,25 +49,24 @@ def tests_table(tests: Mapping[str, Findings | None]) -> xr.Dataset:
     return table
 
 
-def _row_of(findings: Findings | None) -> dict[str, str | float]:
-    orders = findings.orders if findings else ()
-    unit = findings.channels[0].unit if findings and findings.channels else ""
-    top = max((line for line in orders if line.unit == unit), key=lambda line: line.amplitude, default=None)
-    low, high = findings.speed_range_rpm if findings else (None, None)
-    avoided = (findings.speeds_to_avoid if findings else ()) or ()
+def _row_of(known: Findings | None) -> dict[str, str | float]:
+    findings = findings_of(known, "tests")
+    unit = next((channel.unit for channel in findings.channels), "")
+    top = max((line for line in findings.orders if line.unit == unit), key=lambda line: line.amplitude, default=None)
+    (low, high), avoided = findings.speed_range_rpm, findings.speeds_to_avoid or ()
     return {
-        "name": findings.test if findings else "",
+        "name": findings.test,
         "speed_low_rpm": np.nan if low is None else low,
         "speed_high_rpm": np.nan if high is None else high,
         "strongest_order": top.order if top else np.nan,
         "amplitude": top.amplitude if top else np.nan,
         "unit": top.unit if top else "",
         "cause": (top.explained_by if top else "") or "",
-        "orders": len({round(line.order, 3) for line in orders}),
-        "natural_frequencies": sum(mode.explained_by == "mode" for mode in (findings.modes if findings else ())),
-        "bearing_lines": len(findings.bearings) if findings else 0,
+        "orders": len({round(line.order, 3) for line in findings.orders}),
+        "natural_frequencies": sum(mode.explained_by == "mode" for mode in findings.modes),
+        "bearing_lines": len(findings.bearings),
         "avoid_rpm": avoided[0].rpm if avoided else np.nan,
-        "headline": headline(findings)[0] if findings else "",
+        "headline": headline(findings)[0] if known else "",
     }
 
 

@@ -22,29 +22,10 @@ from numpy.typing import NDArray
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import CrossingFinding, Findings, ModeFinding, OrderFinding
+from crankorder.plot import reading
 from crankorder.plot.campbell_figure import level_limits, speed_cells
 from crankorder.plot.labels import mode_style, mode_text
 from crankorder.plot.palette import level_colours
-from crankorder.plot.reading import (
-    at_speed,
-    channel_level,
-    estimate_text,
-    fixed_frequencies,
-    frequency_text,
-    interval_of,
-    is_number,
-    is_whirl,
-    level_text,
-    listed,
-    named,
-    nominal_order,
-    number_text,
-    order_name,
-    order_text,
-    short,
-    speeds_text,
-    strongest_by,
-)
 from crankorder.quantities import Floats
 from crankorder.records import known
 from crankorder.report.sentences.story import Answer, lead_of, story_of
@@ -107,7 +88,7 @@ def report_page(
         "report.html",
         has_script=bool(live) or any(part.is_long for _, table in tables for part in table.parts),
         live=Markup(live),  # JSON without <, > and &
-        test=named(findings.test, limit=limit),
+        test=reading.named(findings.test, limit=limit),
         lead=lead,
         story=[(title, _first_and_rest(sentences)) for title, sentences in told],
         pictures=_embedded(pictures, limit=4 * limit),
@@ -129,8 +110,8 @@ def _embedded(pictures: Sequence[ShownPicture], *, limit: int) -> list[dict[str,
         png = picture.png if len(picture.png) <= room else b""
         room -= len(png)
         embedded.append({
-            "link": _beside(picture.file), "file": named(picture.file, limit=limit),
-            "caption": named(picture.caption, limit=limit), "png": Markup(_base64(png)),
+            "link": _beside(picture.file), "file": reading.named(picture.file, limit=limit),
+            "caption": reading.named(picture.caption, limit=limit), "png": Markup(_base64(png)),
             "live": picture.file.startswith("campbell_"),
         })  # fmt: skip
     return embedded
@@ -148,17 +129,17 @@ def index_page(tests: Sequence[Mapping[str, Any]], *, title: str = "", lead: Seq
     of each); missing keys are left out. ``title`` heads the page, else the number of tests; ``lead`` are sentences on
     all tests.
     """
-    text = partial(named, limit=_ERROR_CHARACTERS)
+    text = partial(reading.named, limit=_ERROR_CHARACTERS)
     rows = list[dict[str, Any]]()
     for test in tests:
         status, sentences = str(test.get("status", "")), test.get("headline") or []
         facts = {str(name): text(fact) for name, fact in (test.get("facts") or {}).items() if fact}
         rows.append({
-            "name": short(test.get("name", "")), "status": text(status), "doubtful": status not in _SOUND,
+            "name": reading.short(test.get("name", "")), "status": text(status), "doubtful": status not in _SOUND,
             "headline": [text(sentence) for sentence in ([sentences] if isinstance(sentences, str) else sentences)],
             "link": _beside(link) if (link := test.get("link")) else "",
             "picture": _beside(picture) if (picture := test.get("picture")) else "", "facts": facts,
-            "failed": [(short(failed["recording"]), text(failed["error"])) for failed in test.get("failed") or []],
+            "failed": [(reading.short(of["recording"]), text(of["error"])) for of in test.get("failed") or []],
             "trouble": (status != "failed", status in _SOUND, _BEARING not in facts, _AVOID not in facts),
         })  # fmt: skip
     rows.sort(key=lambda row: row["trouble"])
@@ -180,16 +161,16 @@ def index_facts(findings: Findings) -> dict[str, str]:
     first = {channel.unit for channel in findings.channels[:1]}  # amplitudes in other units are not larger or smaller
     orders = [record for record in findings.orders if record.unit in first]
     best = max(orders, key=lambda record: record.amplitude, default=None)
-    damaged = dict.fromkeys(f"{short(record.name)} {record.line}" for record in findings.bearings if record.damage)
+    damaged = dict.fromkeys(f"{reading.short(of.name)} {of.line}" for of in findings.bearings if of.damage)
     avoided = list(findings.speeds_to_avoid or ())[:1]
     ends = known(findings.speed_range_rpm)
     return {
         name: fact
         for name, fact in {
-            _BEARING: listed(list(damaged), most=3),
-            _AVOID: "".join(f"{one.rpm:.0f} rpm (order {order_text(one.order)})" for one in avoided),
-            "Strongest order": f"{order_text(best.order)} in {short(best.channel)}, {level_text(findings, best)}"
-            f"{at_speed(best.speed_rpm_at_max)}" if best else "",
+            _BEARING: reading.listed(list(damaged), most=3),
+            _AVOID: "".join(f"{one.rpm:.0f} rpm (order {reading.order_text(one.order)})" for one in avoided),
+            "Strongest order": f"{reading.order_text(best.order)} in {reading.short(best.channel)}, "
+            f"{reading.level_text(findings, best)}{reading.at_speed(best.speed_rpm_at_max)}" if best else "",
             "Speeds": f"{'–'.join(dict.fromkeys(f'{end:.0f}' for end in ends))} rpm" if ends else "",
         }.items() if fact
     }  # fmt: skip
@@ -246,13 +227,13 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
     if first is None:
         return ""
     names, units = (first[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit"))
-    names = [named(name, limit=settings.max_name_characters) for name in names]
-    references = [channel_level(first, number, settings=settings)[0] for number in range(len(names))]
+    names = [reading.named(name, limit=settings.max_name_characters) for name in names]
+    references = [reading.channel_level(first, number, settings=settings)[0] for number in range(len(names))]
     maps = [*filter(None, (_map(name, groups[name], references, settings) for name in _TITLES if name in groups))]
     if not maps:
         return ""
     sources = first["channel"].values[: len(names)].astype(str).tolist()
-    strongest = strongest_by(findings.orders, lambda record: record.channel)
+    strongest = reading.strongest_by(findings.orders, lambda record: record.channel)
     tops = [strongest.get(source) for source in sources]
     sizes = [top.amplitude if top and unit == units[0] else 0.0 for top, unit in zip(tops, units, strict=True)]
     fastest = float(np.nan_to_num(first["speed"].values, posinf=0.0, neginf=0.0).max(initial=0.0))
@@ -330,17 +311,16 @@ def _codes(values: Floats, top: float) -> NDArray[np.uint16]:
 
 def _statements(findings: Findings, names: list[str], settings: ReportSettings) -> Record:
     """Findings as records for the script of the page; channels by their index in ``names``."""
-    limit, modes = settings.max_name_characters, fixed_frequencies(findings)
+    limit, modes = settings.max_name_characters, reading.fixed_frequencies(findings)
     number = {name: place for place, name in enumerate(names)}
     loudest = sorted(findings.orders, key=lambda record: -record.amplitude)
     orders = [_order(record, findings, number, limit) for record in loudest if record.channel in number]
     if findings.not_asked_for:
-        orders = [
-            _order_line(order, order_text(order), f"Order {order_text(order)}", names, number) for order in _GUIDES
-        ]
+        texts = zip(_GUIDES, map(reading.order_text, _GUIDES), strict=True)
+        orders = [_order_line(order, text, f"Order {text}", names, number) for order, text in texts]
     avoid = filter(None, (known(speed.rpm_range) for speed in findings.speeds_to_avoid or ()))
     free = filter(None, (known((band.low_rpm, band.high_rpm)) for band in findings.free_bands))
-    bands = [{"range": ends, "text": f"Avoid {speeds_text(ends)} rpm"} for ends in avoid]
+    bands = [{"range": ends, "text": f"Avoid {reading.speeds_text(ends)} rpm"} for ends in avoid]
     statements = {
         "orders": orders,
         "fixed": [_fixed(mode, number, limit) for mode in modes],
@@ -366,29 +346,29 @@ def _order_line(order: float, label: str, text: str, channels: Iterable[str], nu
 
 def _order(record: OrderFinding, findings: Findings, number: dict[str, int], limit: int) -> Record:
     """Record of an order for the script: label, cause and the speeds at which it was seen."""
-    name, seen = order_name(record, findings), known(record.speed_range_rpm)
-    text = f"Order {name}: {named(record.explained_by or 'unexplained', limit=2 * limit)}"
-    text += f", seen at {speeds_text(seen)} rpm" if seen else ""
+    name, seen = reading.order_name(record, findings), known(record.speed_range_rpm)
+    text = f"Order {name}: {reading.named(record.explained_by or 'unexplained', limit=2 * limit)}"
+    text += f", seen at {reading.speeds_text(seen)} rpm" if seen else ""
     return _order_line(record.order, name, text, [record.channel], number)
 
 
 def _half_width(mode: ModeFinding) -> float:
     """Half the half-power bandwidth [Hz] of a mode, at least half its confidence interval."""
-    low, high = interval_of(mode, "frequency_hz") or (0.0, 0.0)
+    low, high = reading.interval_of(mode, "frequency_hz") or (0.0, 0.0)
     return max(mode.frequency_hz * (mode.damping_ratio or 0.0), (high - low) / 2)
 
 
 def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> Record:
     """Record of a fixed frequency, or of a whirl with its ``slope``; ``half``: half bandwidth in Hz."""
-    estimate = f"{estimate_text(mode, 'frequency_hz')} Hz"
+    estimate = f"{reading.estimate_text(mode, 'frequency_hz')} Hz"
     (kind, _, colour, dashes), text = mode_style(mode), f"Natural frequency {estimate}"
     if kind == "tone":
-        text = f"{named(mode.explained_by, limit=limit).capitalize()} {estimate}"
+        text = f"{reading.named(mode.explained_by, limit=limit).capitalize()} {estimate}"
     elif kind == "doubt":
         text = f"Perhaps a natural frequency, not decided: {estimate}"
-    elif is_number(mode.damping_ratio):
-        text += f", damping {number_text(100 * mode.damping_ratio, digits=2)} %"
-    slope, rpm = (mode.speed_slope or 0.0, mode.reference_rpm or 0.0) if is_whirl(mode) else (0.0, 0.0)
+    elif reading.is_number(mode.damping_ratio):
+        text += f", damping {reading.number_text(100 * mode.damping_ratio, digits=2)} %"
+    slope, rpm = (mode.speed_slope or 0.0, mode.reference_rpm or 0.0) if reading.is_whirl(mode) else (0.0, 0.0)
     return _record(
         f"{text}{_in(mode.channels, limit)}", mode.channels, number, hz=mode.frequency_hz, slope=slope, from_rpm=rpm,
         half=_half_width(mode), label=mode_text(mode), colour=colour, alpha=0.8, dashes=dashes,
@@ -398,7 +378,7 @@ def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> Record:
 
 def _in(channels: Sequence[str | None], limit: int) -> str:
     names = ", ".join(filter(None, channels))
-    return f", in {named(names, limit=limit)}" if names else ""
+    return f", in {reading.named(names, limit=limit)}" if names else ""
 
 
 def _crossing(
@@ -408,9 +388,9 @@ def _crossing(
     nearest = min(modes, key=lambda mode: abs(mode.frequency_hz - crossing.mode_hz), default=None)
     channels, spread = crossing.channels or (crossing.channel,), max(0.02 * crossing.rpm, 1.0)
     factor = crossing.amplification or 0.0
-    times = f", × {number_text(factor, digits=2)}" if crossing.excited and factor > 0 else ""
+    times = f", × {reading.number_text(factor, digits=2)}" if crossing.excited and factor > 0 else ""
     verdict = crossing.verdict or ("excited" if crossing.excited else "not excited")
-    where = f"order {order_name(crossing, findings)} meets {frequency_text(crossing.mode_hz)} Hz"
+    where = f"order {reading.order_name(crossing, findings)} meets {reading.frequency_text(crossing.mode_hz)} Hz"
     text = f"Crossing: {where} near {crossing.rpm:.0f} rpm, {verdict}{times}{_in(channels, limit)}"
     half, near = 0.0 if nearest is None else _half_width(nearest), (crossing.rpm - spread, crossing.rpm + spread)
     shaken = ([*filter(None, channels)] or [*number]) if crossing.excited else []
@@ -422,8 +402,9 @@ def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[Recor
     shown = list[Record]()
     own = (line for line in findings.lines if line.channel in number)
     for line in sorted(own, key=lambda line: -line.size)[:_MOST_LINES]:
-        place = f"{line.frequency_hz:.4g} Hz" if line.order is None else f"order {order_text(nominal_order(line))}"
-        text = f"Line at {place}: {named(line.explained_by or 'unexplained', limit=2 * limit)}"
+        order = "" if line.order is None else f"order {reading.order_text(reading.nominal_order(line))}"
+        cause = reading.named(line.explained_by or "unexplained", limit=2 * limit)
+        text = f"Line at {order or f'{line.frequency_hz:.4g} Hz'}: {cause}"
         at = {"hz": line.frequency_hz} if line.order is None else {"slope": line.order}
         shown.append(_record(text, [line.channel], number, **at))
     nothing = "Findings were not asked for" if findings.not_asked_for else "No line is named here"

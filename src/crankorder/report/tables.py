@@ -50,6 +50,7 @@ PARTS = (
 )
 """Key in the findings and title of each part of the band, in the order of bar and table: together all of it."""
 
+_TOTAL = ("total", "Mean square of the band, all speeds")
 _ABOVE = ("above_band", "Above the band, of all recorded")  # no part of the band
 _LONG = 30  # rows; a table with more has a filter, and no more of it are printed
 _MOST = 400  # rows of a table in a page; the files hold all
@@ -114,18 +115,14 @@ def _avoid(findings: Findings, limit: int) -> Table:
     bands: list[tuple[FreeBand | OpenBand, str]] = [(band, "free") for band in findings.free_bands]
     bands += [(band, "not free, or not known") for band in findings.open_bands or ()]
     other = [
-        [
-            speeds_text((band.low_rpm, band.high_rpm)), _whole(band.high_rpm - band.low_rpm), verdict,
-            named(band.remark or "–", limit=8 * limit),
-        ]
+        [speeds_text((band.low_rpm, band.high_rpm)), _whole(band.high_rpm - band.low_rpm), verdict,
+         named(band.remark or "–", limit=8 * limit)]
         for band, verdict in sorted(bands, key=lambda pair: pair[0].low_rpm)
     ]  # fmt: skip
     rows = [
-        [
-            str(record.rank), _whole(record.rpm), speeds_text(record.rpm_range or ()),
-            order_estimate(record, findings), _hertz(record, "mode_hz"), named(record.channel, limit=limit),
-            _peak_text(record, findings), _times(record, "amplification"), named(record.reason, limit=4 * limit),
-        ]
+        [str(record.rank), _whole(record.rpm), speeds_text(record.rpm_range or ()),
+         order_estimate(record, findings), _hertz(record, "mode_hz"), named(record.channel, limit=limit),
+         _peak_text(record, findings), _times(record, "amplification"), named(record.reason, limit=4 * limit)]
         for record in findings.speeds_to_avoid or ()
     ]  # fmt: skip
     heads = "Rank#|Speed, rpm#|Avoid, rpm#|Order#|Natural frequency, Hz#|Channel|Peak there#|Amplification#|Why"
@@ -292,13 +289,11 @@ def _balance(findings: Findings, limit: int) -> Table:
 def _limits(findings: Findings, limit: int) -> Table:
     """What the limits of the manifest come to; empty where there are none."""
     rows = [
-        [
-            named(record.channel or "–", limit=limit), named(record.quantity, limit=limit),
-            "–" if record.band_hz is None else band_of(record.band_hz, None), record.verdict,
-            estimate_text(record, "level", unit=unit_text(record.unit)),
-            with_interval(record.value, None, unit=unit_text(record.unit)), _whole(record.speed_rpm),
-            named(record.source, limit=2 * limit), named(record.evidence or "–", limit=4 * limit),
-        ]
+        [named(record.channel or "–", limit=limit), named(record.quantity, limit=limit),
+         "–" if record.band_hz is None else band_of(record.band_hz, None), record.verdict,
+         estimate_text(record, "level", unit=unit_text(record.unit)),
+         with_interval(record.value, None, unit=unit_text(record.unit)), _whole(record.speed_rpm),
+         named(record.source, limit=2 * limit), named(record.evidence or "–", limit=4 * limit)]
         for record in findings.limits
     ]  # fmt: skip
     heads = "Channel|Quantity|Band|Verdict|Largest level (r.m.s.)#|Limit#|Speed, rpm#|Written in|Why"
@@ -318,10 +313,8 @@ def _levels(findings: Findings, limit: int) -> Table:
         ])  # fmt: skip
         largest += every[-1:] * level.largest
     whole = [
-        [
-            named(level.channel, limit=limit), "as recorded", "all", "–",
-            with_interval(level.rms_max, None, unit=unit_of(findings, level)), "–", "–", "–",
-        ]
+        [named(level.channel, limit=limit), "as recorded", "all", "–",
+         with_interval(level.rms_max, None, unit=unit_of(findings, level)), "–", "–", "–"]
         for level in findings.levels
         if is_number(level.rms_max)
     ]  # fmt: skip
@@ -348,23 +341,18 @@ def _third_octaves(findings: Findings, limit: int) -> Table:
 def _energy(findings: Findings, limit: int) -> Table:
     """Share of each part of the energy, one row and one bar per channel; empty where not known."""
     energy = findings.energy
-    channels = () if energy is None else energy.channels
+    channels, end = ((), None) if energy is None else (energy.channels, energy.band_hz)
     records = [record for record in channels if any(is_number(getattr(record, key)) for key, _ in PARTS)]
-    above = [_ABOVE] if any(is_number(record.above_band) for record in records) else []
+    columns = [*PARTS, _TOTAL, *[_ABOVE] * any(is_number(record.above_band) for record in records)]
 
-    def shares(record: EnergyShares, columns: Sequence[tuple[str, str]]) -> list[str]:
-        known = (getattr(record, key) for key, _ in columns)
-        return [percent_text(share) if is_number(share) else "–" for share in known]
+    def cell(record: EnergyShares, key: str) -> str:
+        if key == "total":
+            return with_interval(record.total, None, unit=_square_unit(record.unit or ""))
+        return percent_text(share) if is_number(share := getattr(record, key)) else "–"
 
-    rows = []
-    for record in records:
-        total = with_interval(record.total, None, unit=_square_unit(record.unit or ""))
-        rows.append([named(record.channel, limit=limit), *shares(record, PARTS), total, *shares(record, above)])
-    titles = [title for _, title in (*PARTS, ("total", "Mean square of the band, all speeds"), *above)]
-    end = None if energy is None else energy.band_hz
+    rows = [[named(record.channel, limit=limit), *(cell(record, key) for key, _ in columns)] for record in records]
     title = "Where the energy is" + (f", up to {frequency_text(end)} Hz" if is_number(end) else "")
-    heads = "|".join(["Channel", *(f"{title}#" for title in titles)])
-    table = table_of(title, heads, rows)
+    table = table_of(title, "|".join(["Channel", *(f"{head}#" for _, head in columns)]), rows)
     table.bars = [_bar(record, limit) for record in records]
     return table
 

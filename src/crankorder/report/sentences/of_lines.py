@@ -6,7 +6,7 @@ states: how it slips, which lines are its own, and what they speak for.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from crankorder.findings import BearingFinding, Findings, Level, LineFinding, ModeFinding, Motor, OrderFinding
@@ -318,16 +318,14 @@ def bearing_sentence(findings: Findings) -> str:
     return f"{verdict}: {order}, the {name}, has {_level(findings, record)}{where}."
 
 
-def bearing_sentences(findings: Findings) -> list[str]:
+def bearing_sentences(findings: Findings) -> Iterator[str]:
     """One sentence per bearing line of ``findings`` that was seen, with its verdict but for the rule to run again."""
-    sentences = []
     for name, record in bearing_lines(findings):
         order = "If the speed is right, order" if findings.speed_doubt else "Order"
         text = f"{order} {order_name(record, findings)} fits the {name}: {_seen(findings, record)}."
         parts = [part.strip().rstrip(".") for part in reason_text(record.verdict).split(". ")]
         verdict = [f"{part[0].upper()}{part[1:]}." for part in parts if part and "re-run" not in part.lower()]
-        sentences.append(" ".join([text, *verdict]))
-    return sentences
+        yield " ".join([text, *verdict])
 
 
 def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:

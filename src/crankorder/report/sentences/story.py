@@ -5,7 +5,7 @@ Here are those on how orders grow and whether they are locked, on the residual u
 
 from __future__ import annotations
 
-from typing import Literal, TypedDict
+from typing import Literal
 
 from crankorder.findings import Balance, Findings, OrderFinding
 from crankorder.plot.reading import (
@@ -79,13 +79,8 @@ _STEADY_CAUSES = ("unexplained", "bearing", "gear mesh")  # what may keep its si
 Answer = Literal["what", "why", "how_sure", "what_to_do"]
 
 
-class Story(TypedDict):
-    """The four answers that a page gives first, each a list of sentences."""
-
-    what: list[str]
-    why: list[str]
-    how_sure: list[str]
-    what_to_do: list[str]
+Story = dict[Answer, list[str]]
+"""The four answers that a page gives first, each a list of sentences."""
 
 
 def lead_of(findings: Findings) -> list[str]:
@@ -125,24 +120,23 @@ def story_of(findings: Findings) -> Story:
     """
     quality, repeat = _quality_sentences(findings), _repeat_sentences(findings)
     if findings.not_asked_for:
-        return Story(what=of_speeds.shaft_sentences(findings), why=[], how_sure=quality, what_to_do=repeat)
+        return {"what": of_speeds.shaft_sentences(findings), "why": [], "how_sure": quality, "what_to_do": repeat}
     levels = [*of_speeds.level_sentences(findings), *of_speeds.limit_sentences(findings)]
     shares = [*filter(None, [energy_sentence(findings)]), *of_speeds.share_sentences(findings)]
     modes, tones = of_lines.mode_sentences(findings), of_lines.tone_sentences(findings)
     if _stands_still(findings):
-        return Story(
-            what=modes + levels, why=tones, how_sure=[INTERVALS, *shares, *quality], what_to_do=repeat or [STILL_CLEAR]
-        )
-    return Story(
-        what=of_lines.line_sentences(findings) + levels,
-        why=[
+        sure = [INTERVALS, *shares, *quality]
+        return {"what": modes + levels, "why": tones, "how_sure": sure, "what_to_do": repeat or [STILL_CLEAR]}
+    return {
+        "what": of_lines.line_sentences(findings) + levels,
+        "why": [
             *law_sentences(findings), *of_speeds.swing_sentences(findings), *modes, *tones,
             *of_lines.motor_sentences(findings), *of_lines.bearing_sentences(findings),
             *balance_sentences(findings),
         ],
-        how_sure=[INTERVALS, *of_speeds.doubt_sentences(findings), *shares, *lock_sentences(findings), *quality],
-        what_to_do=_what_to_do(findings),
-    )  # fmt: skip
+        "how_sure": [INTERVALS, *of_speeds.doubt_sentences(findings), *shares, *lock_sentences(findings), *quality],
+        "what_to_do": _what_to_do(findings),
+    }  # fmt: skip
 
 
 def _stands_still(findings: Findings) -> bool:
