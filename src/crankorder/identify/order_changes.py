@@ -359,6 +359,8 @@ def order_changes(
     of_amplitude = [replace(c, base=c.base.without_phasor, new=c.new.without_phasor) for c in changes]
     whole, size = (intervals.claimed(np.array([c.p_all for c in each]), q=q) for each in (changes, of_amplitude))
     by_speed = intervals.claimed(np.stack([c.p_value for c in changes]), q=q)
+    # a mark that was moved turns an order at every speed; at a few of them the marks of single recordings may err
+    whole &= size | (np.mean(by_speed, axis=1) >= NUMBERS.turned_share)
     return speeds, orders, [
         replace(c, changed=bool(claim), changed_at=claims, phase_only=bool(claim and not by_size))
         for c, claim, by_size, claims in zip(changes, whole, size, by_speed, strict=True)
