@@ -179,7 +179,8 @@ def free_sentences(findings: Findings) -> list[str]:
         more = " and narrower bands" if len(free) > _SHOWN else ""
         ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
         remark = reason_text(wide_bands(findings.free_bands)[0].remark)
-        sentences.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
+        free_of = "If the speed is right, free of resonances" if findings.speed_doubt else "Free of resonances"
+        sentences.append(f"{free_of}: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
     elif at_one_speed(findings):
         return ["A test at one speed cannot tell which speeds are free of resonances."]
     elif findings.open_bands is not None and not findings.speeds_to_avoid:
