@@ -9,14 +9,13 @@ from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.identify.bearing_records import bearing_records, races_words
 from crankorder.identify.order_changes import RunAmplitudes, run_amplitudes, trend_over
 from crankorder.orders.envelope import envelope_map, recording_envelope
-from crankorder.settings import load_settings
 from made.found_lines import agreed, line
+from made.shipped import SETTINGS
 from made.strikes import recording, strikes
 from made.typed import as_dicts
 
 bearing_records = as_dicts(bearing_records)
 
-SETTINGS = load_settings()
 NINE = Bearing(name="drive end", designation="6205-2RS")
 JACK = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=0.2)
 ORDERS = bearing_orders(NINE)

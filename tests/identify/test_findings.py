@@ -11,15 +11,13 @@ from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.report.sentences.story import headline, story_of
-from crankorder.settings import load_settings
 from made.command import analysed
 from made.found_lines import agreed
 from made.recordings import line, manifest, steady, total, write_hdf5
+from made.shipped import SETTINGS
 from made.typed import as_dicts
 
 find = as_dicts(find)
-
-SETTINGS = load_settings()
 
 
 def findings_of(signal, *, duration_s):

@@ -13,11 +13,10 @@ from crankorder.report.comparison import (
     with_sentences,
 )
 from crankorder.report.comparison_figures import order_change_figure
-from crankorder.settings import load_settings
+from made.shipped import SETTINGS
 from made.two_tests import made_test
 from made.typed import record_of
 
-SETTINGS = load_settings().report
 LINES = {1.0: lambda rpm: 0.5, 5.5: lambda rpm: 0.4}
 
 
@@ -44,7 +43,7 @@ def test_orders_that_turned_alone_are_told_from_those_whose_amplitude_changed():
 
 def test_the_order_that_changed_is_coloured_and_labelled_and_the_others_are_light(doubled):
     document, groups = doubled
-    drawing = order_change_figure(groups["order_change"], document, settings=SETTINGS)
+    drawing = order_change_figure(groups["order_change"], document, settings=SETTINGS.report)
     lines = drawing.strokes("order-")
     assert {line.name for line in lines} == {"order-5.5"} and len(lines) == 2  # a panel per channel
     for line in lines:
@@ -68,7 +67,7 @@ def test_the_verdict_on_a_line_is_that_of_its_interval(kind, ends, says):
 
 def test_the_page_answers_first_and_escapes_what_comes_from_files(doubled):
     assert Comparison.from_dict(doubled[0].as_dict()) == doubled[0]  # as it is read back
-    page = comparison_page(doubled[0], pictures=[("a.png", "A")], settings=SETTINGS)
+    page = comparison_page(doubled[0], pictures=[("a.png", "A")], settings=SETTINGS.report)
     assert "base &lt;b&gt;" in page and "<b>" not in page
     for said in ("What changed", "How sure", "Order 5.5", "confounds"):
         assert said in page
@@ -106,4 +105,4 @@ def test_tests_that_are_alike_have_a_page_too():
     document, _ = documented(base, base)
     assert comparison_story(document)["what"] == []
     assert document.headline[0].startswith("No order and no natural frequency that both tests show changed by more")
-    assert document.headline[0] in comparison_page(document, pictures=[], settings=SETTINGS)
+    assert document.headline[0] in comparison_page(document, pictures=[], settings=SETTINGS.report)
