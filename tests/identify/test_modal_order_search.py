@@ -31,10 +31,7 @@ def _modes(blocks):
     return [item for item in found if item is not None]
 
 
-@pytest.mark.parametrize(
-    ("seed", "draws", "power"),
-    [(0, {}, False), (1, {"n_modes": (1, 2)}, True)],
-)
+@pytest.mark.parametrize(("seed", "draws", "power"), [(0, {}, False), (1, {"n_modes": (1, 2)}, True)])
 def test_modes_that_orders_sweep_through_are_found_within_their_errors_by_phases_and_by_squares(seed, draws, power):
     """Found is each mode of which two rows of one order lie within two half widths."""
     machine = drawn_machine(seed, **draws)
