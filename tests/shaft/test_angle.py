@@ -14,7 +14,7 @@ from crankorder.shaft.pattern import pattern_of
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.uneven_wheel import wheel_of
 from crankorder.shaft.wheel import number_teeth
-from made.recordings import manifest, write_hdf5
+from made.recordings import write_hdf5, write_manifest
 from made.shipped import SETTINGS, SHAFT
 
 
@@ -202,9 +202,7 @@ ENCODER = {"kind": "square", "source": "a", "second_track": "b", "pulses_per_rev
 
 def flags(folder, turns, *, edge="rising", second=None):
     """Flags on the direction of a shaft at ``turns`` (sample,), A leading B by a quarter of a line forwards."""
-    folder.mkdir(exist_ok=True)
-    text = manifest("*.h5", channels={"Z": {"source": "z"}}, encoder=ENCODER | {"edge": edge})
-    (folder / "run.toml").write_text(text, encoding="utf-8")
+    write_manifest(folder, "*.h5", channels={"Z": {"source": "z"}}, encoder=ENCODER | {"edge": edge})
     first, behind = (((turns * LINES - late) % 1.0 < 0.5).astype(np.float32) for late in (0.0, 0.25))
     noise = np.random.default_rng(1).standard_normal(turns.size)
     columns = {"z": noise, "a": first, "b": behind if second is None else second}
@@ -235,8 +233,7 @@ def test_d8_a_dead_second_track_says_nothing(tmp_path):
 
 
 def test_a_second_track_goes_with_a_sampled_one(tmp_path):
-    text = manifest(channels={"Z": {"source": "z"}}, encoder=ENCODER | {"kind": "pulse_times"})
-    (tmp_path / "run.toml").write_text(text, encoding="utf-8")
+    write_manifest(tmp_path, channels={"Z": {"source": "z"}}, encoder=ENCODER | {"kind": "pulse_times"})
     with pytest.raises(Exception, match="a second track is a sampled trace"):
         load_manifest(tmp_path)
 
