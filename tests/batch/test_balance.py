@@ -112,10 +112,7 @@ def test_every_fault_of_a_file_is_listed_at_once(tmp_path):
 
 def test_an_engine_that_cannot_be_is_a_wrong_request_that_says_why(tmp_path):
     (tmp_path / "no.toml").write_text("title = 'a'\nbore = = 3\n")
-    for arguments, said in (
-        (("task6",), ("task6", "task5")),
-        ((tmp_path / "no.toml",), ("line 2",)),
-    ):
+    for arguments, said in ((("task6",), ("task6", "task5")), ((tmp_path / "no.toml",), ("line 2",))):
         outcome = balance(*arguments)
         assert (outcome.exit_code, outcome.stdout) == (2, "")
         assert all(words in outcome.stderr for words in said)

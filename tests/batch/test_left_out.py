@@ -1,18 +1,15 @@
 """A useless channel is left out alone, a lost stretch alone: the rest of the recording stays in the averages."""
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
 
 from made.command import crankorder, findings_in
-from made.recordings import manifest
+from made.recordings import write_hdf5, write_manifest
 
 RATE, SECONDS = 5000.0, 10.0
-MANIFEST = manifest(
-    channels={"X": {}, "Y": {}}, recordings={"files": ["*.h5"], "speed_rpm": {"a.h5": 1500.0, "b.h5": 1800.0}},
-    sampling={"rate_hz": RATE}, encoder={"kind": "constant"},
-)  # fmt: skip
+RECORDINGS = {"files": ["*.h5"], "speed_rpm": {"a.h5": 1500.0, "b.h5": 1800.0}}
+TABLES = {"recordings": RECORDINGS, "sampling": {"rate_hz": RATE}, "encoder": {"kind": "constant"}}
 
 
 def signals(rpm, seed):
@@ -24,14 +21,10 @@ def signals(rpm, seed):
 
 def run(place, spoil):
     """Exit status, findings and order map of two recordings in the new folder ``place``, of the first some spoilt."""
-    folder, out = place / "in", place / "out"
-    folder.mkdir(parents=True)
-    (folder / "run.toml").write_text(MANIFEST)
+    folder, out = write_manifest(place / "in", channels={"X": {}, "Y": {}}, **TABLES), place / "out"
     for name, rpm, seed in (("a", 1500.0, 1), ("b", 1800.0, 2)):
         columns = dict(zip("XY", signals(rpm, seed), strict=True)) | (spoil if name == "a" else {})
-        with h5py.File(folder / f"{name}.h5", "w") as file:
-            for channel, row in columns.items():
-                file[channel] = row.astype(np.float32)
+        write_hdf5(folder / f"{name}.h5", {channel: row.astype(np.float32) for channel, row in columns.items()})
     outcome = crankorder("run", folder, "--out", out, "-q", "--recipe", "maps", "--no-pictures")
     order_map = xr.load_dataset(next(out.glob("*/results.nc")), group="order_map", engine="h5netcdf")
     return outcome.exit_code, findings_in(out), order_map

@@ -1,6 +1,5 @@
 """`check` finds what `run` would find: it reads a bounded part of the samples, and decodes them by the same code."""
 
-import h5py
 import numpy as np
 import pytest
 
@@ -8,7 +7,7 @@ from crankorder.batch import look
 from crankorder.ingest.manifest import load_manifest
 from crankorder.settings import load_settings
 from made.command import crankorder, done
-from made.recordings import manifest
+from made.recordings import manifest, write_hdf5, write_table
 
 RATE_HZ, RPM, TEETH, LENGTH_S = 10_000.0, 1500.0, 24, 4.0
 
@@ -24,15 +23,11 @@ def columns(seed, *, length_s=LENGTH_S, rpm=RPM):
 
 
 def write(folder, made, name="a.h5"):
-    with h5py.File(folder / name, "w") as file:
-        file.attrs["rate_hz"] = RATE_HZ
-        for key, values in made.items():
-            file.create_dataset(key, data=values)
+    write_hdf5(folder / name, made, rate_hz=RATE_HZ)
 
 
 def as_csv(folder, made):
-    table = np.column_stack([np.round(np.arange(40_000) / RATE_HZ, 3), made["acc"], made["encoder"]])
-    np.savetxt(folder / "a.csv", table, delimiter=",", header="t,acc,encoder", comments="", fmt="%.6f")
+    write_table(folder / "a.csv", {"t": np.round(np.arange(40_000) / RATE_HZ, 3), **made}, fmt="%.6f")
 
 
 ROUNDED = MANIFEST.replace("*.h5", "*.csv").replace("[encoder]", '[sampling]\ntime_source = "t"\n[encoder]')

@@ -2,13 +2,12 @@
 
 import json
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
 
 from made.command import crankorder
-from made.recordings import manifest
+from made.recordings import write_hdf5, write_manifest
 
 SPEEDS = {"a/x.h5": 1500.0, "b/x.h5": 2100.0, "x.h5": 1800.0}
 
@@ -24,13 +23,10 @@ def campaign(folder, speeds):
         path.parent.mkdir(parents=True, exist_ok=True)
         time_s = np.arange(12_000) / 2000.0
         signal = 2.0 * np.cos(2.0 * np.pi * rpm / 60.0 * time_s)
-        with h5py.File(path, "w") as file:
-            made = file.create_dataset("a", data=signal + 0.05 * np.random.default_rng(3).standard_normal(time_s.size))
-            made.attrs["rate_hz"] = 2000.0
-    recordings, channels = {"files": ["**/*.h5"], "speed_rpm": speeds}, {"A": {"source": "a"}}
-    text = manifest(name="names", recordings=recordings, channels=channels, encoder={"kind": "constant"})
-    (folder / "run.toml").write_text(text, encoding="utf-8")
-    return folder
+        noise = 0.05 * np.random.default_rng(3).standard_normal(time_s.size)
+        write_hdf5(path, {"a": signal + noise}, rate_hz=2000.0)
+    tables = {"recordings": {"files": ["**/*.h5"], "speed_rpm": speeds}, "channels": {"A": {"source": "a"}}}
+    return write_manifest(folder, name="names", **tables, encoder={"kind": "constant"})
 
 
 def test_files_of_one_name_have_their_own_speeds_and_rows_and_faults_tell_which_of_them(tmp_path):

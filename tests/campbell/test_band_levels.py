@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from crankorder.campbell.levels import (
-    THIRD_OCTAVES_HZ,
-    LevelBand,
-    level_frames,
-    limit_bands,
-    nominal_hz,
-    third_octaves,
-)
+from crankorder.campbell.levels import THIRD_OCTAVES_HZ, LevelBand, level_frames, limit_bands, nominal_hz, third_octaves
 from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.identify.levels import limit_verdicts
 from crankorder.identify.machine_model import Limit, MachineModel

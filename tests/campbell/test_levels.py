@@ -9,13 +9,12 @@ from scipy.signal import lfilter
 from crankorder.campbell.levels import recording_levels
 from crankorder.identify.levels import level_records
 from crankorder.quantities import check_dataset
-from crankorder.settings import load_settings
 from made.recordings import held, sampled, shaft
+from made.shipped import SETTINGS
 from made.typed import as_dicts
 
 level_records = as_dicts(level_records)
 
-SETTINGS = load_settings()
 RATE_HZ = 25_600.0
 
 

@@ -11,15 +11,13 @@ from crankorder.campbell.map import campbell_map, leading_frames
 from crankorder.fft.decimation import band_limited
 from crankorder.fft.windows import window_named
 from crankorder.quantities import check_dataset, flags_of
-from crankorder.settings import load_settings
 from made.recordings import held, line, run_up, sampled, shaft, steady
-
-SETTINGS = load_settings().campbell
+from made.shipped import CAMPBELL
 
 
 def mapped(*recording, **changed):
     """CampbellMap of one BandRecording and its ShaftAngle, with settings ``changed``."""
-    settings = SETTINGS.model_copy(update=changed)
+    settings = CAMPBELL.model_copy(update=changed)
     return campbell_map([frequency_frames(*recording, settings=settings)], speed_bin_rpm=25.0)
 
 
@@ -53,7 +51,7 @@ def crank_angle_frames(speed_rpm):
     attrs = {"samples_per_rev": 360, "speed_rpm": speed_rpm, "encoder_kind": "none"}
     band = sampled(np.cos(2 * np.pi * 3.0 * angle)[None], domain="crank_angle", **attrs)
     knots = shaft(np.array([0.0, 1.0]), np.array([0.0, 200.0]), np.full(2, speed_rpm))
-    return frequency_frames(band, knots, settings=SETTINGS)
+    return frequency_frames(band, knots, settings=CAMPBELL)
 
 
 def test_crank_angle_data_have_a_map_by_their_speeds_and_none_without():
@@ -68,7 +66,7 @@ def test_crank_angle_data_have_a_map_by_their_speeds_and_none_without():
 
 def test_a_slow_recording_that_ends_the_map_is_named():
     slow, fast = (
-        frequency_frames(*steady([line(2.0, 1.0)], speed_rpm=rpm, duration_s=5.0, rate_hz=rate), settings=SETTINGS)
+        frequency_frames(*steady([line(2.0, 1.0)], speed_rpm=rpm, duration_s=5.0, rate_hz=rate), settings=CAMPBELL)
         for rpm, rate in ((1000.0, 500.0), (1500.0, 2000.0))
     )
     slow.attrs["recording"] = "slow.h5"
@@ -87,7 +85,7 @@ def recordings(seed, *, ring):
     """
     rng, made = np.random.default_rng(seed), []
     time_s = np.arange(4 * RATE_HZ) / RATE_HZ
-    settings = SETTINGS.model_copy(update={"resolution_hz": 1.0, "max_frequency_hz": BINS - 1.0})
+    settings = CAMPBELL.model_copy(update={"resolution_hz": 1.0, "max_frequency_hz": BINS - 1.0})
     for number in range(12):
         signal = rng.standard_normal((2, time_s.size))
         decay = np.exp(-2.0 * np.pi * 0.005 * 80.0 * time_s)
@@ -158,7 +156,7 @@ def test_a_floor_120_db_below_a_tone_is_seen_with_a_flat_top():
 def test_the_smallest_and_largest_amplitudes_survive_beside_common_ones(size, dtype):
     band, knots = steady([line(2.0, size), line(2.0, 1.0)], speed_rpm=1200.0, duration_s=6.0, rate_hz=2000.0)
     band["signal"] = band["signal"].astype(dtype)
-    frames = frequency_frames(band, knots, settings=SETTINGS)
+    frames = frequency_frames(band, knots, settings=CAMPBELL)
     check_dataset(frames, "frequency_frames")
     made = campbell_map([frames, frames], speed_bin_rpm=25.0)
     assert made["amplitude"][0].max().item() == pytest.approx(size, rel=1e-3)
@@ -193,7 +191,7 @@ def test_a_channel_without_a_usable_frame_is_unknown_and_the_others_are_not():
 def test_in_a_run_up_the_frames_are_short_enough_for_a_line_to_stay_one(rate_rpm_per_s, seconds):
     to_rpm = 1000.0 + rate_rpm_per_s * seconds
     recording = run_up([line(4.0, 1.0)], from_rpm=1000.0, to_rpm=to_rpm, duration_s=seconds, rate_hz=8000.0)
-    frames = frequency_frames(*recording, settings=SETTINGS.model_copy(update={"max_frequency_hz": 3000.0}))
+    frames = frequency_frames(*recording, settings=CAMPBELL.model_copy(update={"max_frequency_hz": 3000.0}))
     enbw_hz = frames.attrs["enbw_bins"] * frames.attrs["resolution_hz"]
     assert 0.5 * enbw_hz < frames.attrs["sweep_hz_per_order"] * 4.0 < 1.6 * enbw_hz
     assert float(frames["speed_change"].max()) == pytest.approx(60.0 * frames.attrs["sweep_hz_per_order"])
@@ -211,7 +209,7 @@ def test_a_sweep_that_no_frame_can_hold_still_is_named():
     # one frame in twenty sweeps a hundred times faster than the others, and they set the length
     jump = np.where(knots["time"].values > 9.0, 3000.0 * (knots["time"].values - 9.0) ** 2 / 60.0, 0.0)
     knots["crank_angle"] = knots["crank_angle"] + jump
-    frames = frequency_frames(band, knots, settings=SETTINGS.model_copy(update={"resolution_hz": 4.0}))
+    frames = frequency_frames(band, knots, settings=CAMPBELL.model_copy(update={"resolution_hz": 4.0}))
     assert "swept_lines" in [flag["flag"] for flag in flags_of(frames)]
 
 
@@ -219,8 +217,8 @@ def test_a_steady_speed_with_uneven_running_keeps_the_resolution():
     band, _ = steady([line(1.0, 1.0)], speed_rpm=1200.0, duration_s=10.0, rate_hz=2000.0)
     time_s = np.linspace(0.0, 10.0, 4000)
     uneven = shaft(time_s, 20.0 * time_s + 0.002 * np.sin(2 * np.pi * 20.0 * time_s), np.full(4000, 1200.0))
-    frames = frequency_frames(band, uneven, settings=SETTINGS)
-    assert frames.attrs["resolution_hz"] == SETTINGS.resolution_hz
+    frames = frequency_frames(band, uneven, settings=CAMPBELL)
+    assert frames.attrs["resolution_hz"] == CAMPBELL.resolution_hz
     assert frames.attrs["enbw_bins"] == pytest.approx(1.5)
     assert flags_of(frames) == []
 

@@ -12,11 +12,9 @@ from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
-from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
 from made.recordings import manifest
-
-SETTINGS = load_settings()
+from made.shipped import SETTINGS
 
 
 def write(folder, cycle="none", encoder=""):

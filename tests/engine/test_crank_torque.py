@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from crankorder.engine.hinged_crank import (
-    TorqueBranch,
-    crank_torque,
-    load_hinged_engine,
-    potential_torque,
-    torque_harmonics,
-)
+from crankorder.engine import hinged_crank
 
-CURVE = load_hinged_engine("elastic-hinge").curve
+CURVE = hinged_crank.load_hinged_engine("elastic-hinge").curve
 
 
 def exact_torque(angle_rev):
@@ -33,9 +27,9 @@ def exact_torque(angle_rev):
 
 def test_the_torque_is_within_1e_12_of_exact_arithmetic_in_double_precision():
     grid = np.linspace(0, 1, 145)
-    pairs = zip(crank_torque(grid, CURVE), grid, strict=True)
+    pairs = zip(hinged_crank.crank_torque(grid, CURVE), grid, strict=True)
     assert max(abs(float(Fraction(float(torque)) - exact_torque(angle))) for torque, angle in pairs) < 1e-12
-    assert crank_torque([0, 0.5, 1, -3], CURVE).tolist() == [0, 0, 0, 0]
+    assert hinged_crank.crank_torque([0, 0.5, 1, -3], CURVE).tolist() == [0, 0, 0, 0]
 
 
 def test_mean_and_work_are_the_exact_ones(shared_truth):
@@ -50,7 +44,7 @@ def test_mean_and_work_are_the_exact_ones(shared_truth):
 
 def test_harmonics_are_the_true_ones_up_to_order_64(shared_truth):
     listed = shared_truth["seed003"]["Mcr_Fourier_Nm"]
-    harmonics = torque_harmonics([int(order) for order in listed], CURVE)
+    harmonics = hinged_crank.torque_harmonics([int(order) for order in listed], CURVE)
     np.testing.assert_allclose(harmonics.real, [float(line["cos"]) for line in listed.values()], rtol=1e-12)
     np.testing.assert_allclose(-harmonics.imag, [float(line["sin"]) for line in listed.values()], rtol=1e-12)
     np.testing.assert_allclose(np.abs(harmonics), [float(line["amp"]) for line in listed.values()], rtol=1e-12)
@@ -59,7 +53,7 @@ def test_harmonics_are_the_true_ones_up_to_order_64(shared_truth):
 def test_the_potential_torque_does_no_work_in_a_revolution():
     nodes, weights = np.polynomial.legendre.leggauss(16)
     halves = np.concatenate([0.25 + 0.25 * nodes, 0.75 + 0.25 * nodes])
-    assert abs(np.tile(weights, 2) @ potential_torque(halves, CURVE)) < 1e-11
+    assert abs(np.tile(weights, 2) @ hinged_crank.potential_torque(halves, CURVE)) < 1e-11
 
 
 def test_impossible_nodes_are_refused():
@@ -68,4 +62,4 @@ def test_impossible_nodes_are_refused():
         ((0.0, 200.0, 100.0, 360.0), (0.0, 1.0, 1.0, 0.0), "rising"), ((0.0, 360.0), (0.0, float("nan")), "finite"),
     ):  # fmt: skip
         with pytest.raises(ValidationError, match=what):
-            TorqueBranch(angle_deg=angles, torque_nm=torques)
+            hinged_crank.TorqueBranch(angle_deg=angles, torque_nm=torques)

@@ -7,12 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crankorder.engine.balance_data import (
-    CrankshaftSection,
-    FanCounterweight,
-    balanced_engine,
-    load_balanced_engine,
-)
+from crankorder.engine.balance_data import CrankshaftSection, FanCounterweight, balanced_engine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.shafts import crankshaft_sums, two_plane_correction
 from crankorder.errors import ManyErrors

@@ -5,69 +5,42 @@ from itertools import product
 import numpy as np
 import pytest
 
-from crankorder.engine.elastic_hinge import (
-    air_spring,
-    balanced_crank,
-    hinge_guides,
-    hinge_sheet,
-    hinge_table,
-    pin_hinge_work,
-    reduced_inertia,
-    shaking_force,
-    strut_hinge_moment,
-    strut_hinge_work,
-    vertical_counterweight,
-    weight_without_side_force,
-)
-from crankorder.engine.hinged_crank import (
-    CrankTorque,
-    GuideData,
-    HingedCrank,
-    PinHinge,
-    TorqueBranch,
-    branch_quadrature,
-    hinge_moment,
-    load_hinged_engine,
-    mean_rod_cosine,
-    potential_torque,
-    rod_motion,
-    side_force,
-)
+from crankorder.engine import elastic_hinge, hinged_crank
 from crankorder.errors import ManyErrors, RequestError
 
-ENGINE = load_hinged_engine("elastic-hinge")
+ENGINE = hinged_crank.load_hinged_engine("elastic-hinge")
 CURVE = ENGINE.curve
 CRANKS = {mechanism.name: mechanism.crank for mechanism in ENGINE.mechanisms}
 HALF_DEGREES = np.arange(720) / 720  # the grid of the truth sheet's largest values
 THIRTIES = np.arange(12) / 12
 RPM = 30 / np.pi
-HINGES: tuple[PinHinge, ...] = ("full", "potential", "printed")
+HINGES: tuple[hinged_crank.PinHinge, ...] = ("full", "potential", "printed")
 
 
 def changed(crank, **values):
     """The mechanism with other lengths, weights or inertias."""
-    return HingedCrank.model_validate(crank.model_dump() | values)
+    return hinged_crank.HingedCrank.model_validate(crank.model_dump() | values)
 
 
 def test_m12_is_the_true_one(shared_truth):
     for name, crank in CRANKS.items():
         known = shared_truth["seed003"]["mechanisms"][name]["reference_M12_exact_w300_I2slender"]
-        moment = hinge_moment(THIRTIES, crank, CURVE, speed_rpm=300 * RPM)
+        moment = hinged_crank.hinge_moment(THIRTIES, crank, CURVE, speed_rpm=300 * RPM)
         np.testing.assert_allclose(moment, [float(value) for value in known.values()], rtol=1e-12)
 
 
 @pytest.mark.parametrize("pin_hinge", HINGES)
 def test_work_is_the_closed_form_at_every_speed_and_nothing_over_the_hinge_angle_of_a_spring_alone(pin_hinge):
     for crank, omega in product(CRANKS.values(), (100.0, 500.0)):
-        angle_rev, weight = branch_quadrature(crank, CURVE)
+        angle_rev, weight = hinged_crank.branch_quadrature(crank, CURVE)
         options = {"speed_rpm": omega * RPM, "pin_hinge": pin_hinge}
-        moment = hinge_moment(angle_rev, crank, CURVE, **options)
-        strut = strut_hinge_moment(angle_rev, crank, CURVE, **options)
-        over_hinge = 2 * np.pi * float(weight @ (moment * rod_motion(angle_rev, crank).hinge_rate))
+        moment = hinged_crank.hinge_moment(angle_rev, crank, CURVE, **options)
+        strut = elastic_hinge.strut_hinge_moment(angle_rev, crank, CURVE, **options)
+        over_hinge = 2 * np.pi * float(weight @ (moment * hinged_crank.rod_motion(angle_rev, crank).hinge_rate))
         scale = 1e-12 * np.abs(moment).max()
-        assert over_hinge == pytest.approx(pin_hinge_work(crank, CURVE, pin_hinge=pin_hinge), abs=scale)
+        assert over_hinge == pytest.approx(elastic_hinge.pin_hinge_work(crank, CURVE, pin_hinge=pin_hinge), abs=scale)
         work = 2 * np.pi * float(weight @ strut)
-        closed = strut_hinge_work(crank, CURVE, pin_hinge=pin_hinge)
+        closed = elastic_hinge.strut_hinge_work(crank, CURVE, pin_hinge=pin_hinge)
         assert work == pytest.approx(closed, abs=1e-13 * np.abs(strut).max() + 1e-11)
         if pin_hinge != "full":
             assert (abs(over_hinge) < scale) == (pin_hinge == "potential")
@@ -77,12 +50,12 @@ def test_work_is_the_closed_form_at_every_speed_and_nothing_over_the_hinge_angle
 def test_a_mean_over_the_revolution_is_exact_however_short_the_rod():
     for gap in (1.0, 1e-2, 1e-6, 1e-12):
         crank = changed(CRANKS["fig3_ac"], crank_radius_m=0.4 / (1 + gap))
-        angle_rev, weight = branch_quadrature(crank, CURVE)
-        motion, mechanism = rod_motion(angle_rev, crank), crank.mechanism
+        angle_rev, weight = hinged_crank.branch_quadrature(crank, CURVE)
+        motion, mechanism = hinged_crank.rod_motion(angle_rev, crank), crank.mechanism
         # 1/(1+u) = (cos² ψ − λ cos φ cos ψ)/κ'², of which the second part is odd about 90°
         inverse = (1 - mechanism.crank_ratio**2 / 2) / (mechanism.margin * (2 - mechanism.margin))
         assert weight.sum() == pytest.approx(1, rel=1e-14)
-        assert weight @ motion.rod_cosine == pytest.approx(mean_rod_cosine(crank), rel=1e-14)
+        assert weight @ motion.rod_cosine == pytest.approx(hinged_crank.mean_rod_cosine(crank), rel=1e-14)
         assert weight @ (1 / motion.hinge_rate) == pytest.approx(inverse, rel=1e-13)
         assert weight @ motion.hinge_rate == pytest.approx(1, rel=1e-13)
         assert len(angle_rev) < 4000
@@ -110,7 +83,7 @@ speeds_rad_s = [100]
 def load(folder, text):
     """The engine of a file with this text."""
     (folder / "mine.toml").write_text(text)
-    return load_hinged_engine("mine", folder)
+    return hinged_crank.load_hinged_engine("mine", folder)
 
 
 def test_a_rod_without_inertia_is_taken_as_slender(tmp_path):
@@ -187,12 +160,14 @@ def test_newtons_laws_give_the_same_side_force_and_strut_moment(pin_hinge):
     angles = np.array([0.011, 0.07, 0.19, 0.25, 0.31, 0.44, 0.487, 0.52, 0.61, 0.75, 0.83, 0.97])
     for crank, omega in product(CRANKS.values(), (0.0, 100.0, 300.0)):
         options = {"speed_rpm": omega * RPM, "pin_hinge": pin_hinge}
-        hinge = hinge_moment(angles, crank, CURVE, **options)
-        side, strut = newton_euler(2 * np.pi * angles, crank, omega, hinge, potential_torque(angles, CURVE))
+        hinge = hinged_crank.hinge_moment(angles, crank, CURVE, **options)
+        side, strut = newton_euler(
+            2 * np.pi * angles, crank, omega, hinge, hinged_crank.potential_torque(angles, CURVE)
+        )
         scale = 1 + np.abs(hinge).max()
-        ours = side_force(angles, crank, CURVE, pin_hinge=pin_hinge)
+        ours = hinged_crank.side_force(angles, crank, CURVE, pin_hinge=pin_hinge)
         np.testing.assert_allclose(ours, side, rtol=1e-9, atol=1e-13 * scale / crank.rod_length_m)
-        ours = strut_hinge_moment(angles, crank, CURVE, **options)
+        ours = elastic_hinge.strut_hinge_moment(angles, crank, CURVE, **options)
         np.testing.assert_allclose(ours, strut, rtol=1e-9, atol=1e-13 * scale)
 
 
@@ -200,46 +175,48 @@ def test_newtons_laws_give_the_same_side_force_and_strut_moment(pin_hinge):
 def test_the_reduced_inertia_is_the_true_one(shared_truth, name):
     numbers, crank = shared_truth["seed003"]["M1"][name], CRANKS[name]
     expected = [float(value) for value in numbers["reference_Igiv_exact"].values()]
-    np.testing.assert_allclose(reduced_inertia(THIRTIES, crank), expected, rtol=1e-14)
-    grid = reduced_inertia(np.arange(360) / 360, crank)  # the grid of the truth sheet
+    np.testing.assert_allclose(elastic_hinge.reduced_inertia(THIRTIES, crank), expected, rtol=1e-14)
+    grid = elastic_hinge.reduced_inertia(np.arange(360) / 360, crank)  # the grid of the truth sheet
     assert [grid.min(), grid.max()] == pytest.approx(numbers["Igiv_exact_min_max"], rel=1e-14)
     # the printed I_giv gives the counterweight of the rod no energy there
     exact, printed = (float(numbers["Igiv_at_90deg"][key]) for key in ("exact", "printed"))
-    assert float(reduced_inertia(0.25, crank)) == pytest.approx(exact, rel=1e-14)
-    assert abs(float(reduced_inertia(0.25, crank)) / printed - 1) > 0.1
+    assert float(elastic_hinge.reduced_inertia(0.25, crank)) == pytest.approx(exact, rel=1e-14)
+    assert abs(float(elastic_hinge.reduced_inertia(0.25, crank)) / printed - 1) > 0.1
 
 
 # What the hinges ask for: weights, counterweights, the table against the hinge angle, the air spring's pressure.
 
 
-NO_TORQUE = CrankTorque(branches=(TorqueBranch(angle_deg=(0.0, 360.0), torque_nm=(0.0, 0.0)),))
+NO_TORQUE = hinged_crank.CrankTorque(
+    branches=(hinged_crank.TorqueBranch(angle_deg=(0.0, 360.0), torque_nm=(0.0, 0.0)),)
+)
 
 
 def test_a_weight_for_the_corrected_characteristic_brings_the_centre_of_mass_to_the_pin():
     crank = changed(CRANKS["fig5_bcd"], rod_counterweight_n=200.0)
     for weight in ("rod_counterweight_n", "rod_weight_n", "piston_weight_n"):
-        found = weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")
+        found = elastic_hinge.weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")
         solved = changed(crank, **{weight: found})
         assert abs(solved.static_moment_nm) < 1e-13
-        assert np.abs(side_force(HALF_DEGREES, solved, CURVE, pin_hinge="potential")).max() < 1e-12
+        assert np.abs(hinged_crank.side_force(HALF_DEGREES, solved, CURVE, pin_hinge="potential")).max() < 1e-12
 
 
 def test_a_weight_that_would_be_negative_or_has_no_arm_is_refused():
     crank = CRANKS["fig3_ac"]
     for weight in ("rod_weight_n", "rod_counterweight_n"):
         with pytest.raises(RequestError, match="without side force"):
-            weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")  # type: ignore[arg-type]
+            elastic_hinge.weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")  # type: ignore[arg-type]
 
 
 def test_equation_13_cancels_every_shaking_force(shared_truth):
-    balanced = {name: balanced_crank(CRANKS[name]) for name in ("fig5_a", "fig5_bcd")}
+    balanced = {name: elastic_hinge.balanced_crank(CRANKS[name]) for name in ("fig5_a", "fig5_bcd")}
     for crank in balanced.values():
-        along, across = shaking_force(HALF_DEGREES, crank)
+        along, across = elastic_hinge.shaking_force(HALF_DEGREES, crank)
         assert np.abs(along).max() < 1e-14
         assert np.abs(across).max() < 1e-14
         assert abs(crank.static_moment_nm) < 1e-13
         # with the centre of mass at the crank pin equations (12) and (13) ask for the same counterweight
-        assert vertical_counterweight(crank) == pytest.approx(crank.crank_counterweight_n, rel=1e-14)
+        assert elastic_hinge.vertical_counterweight(crank) == pytest.approx(crank.crank_counterweight_n, rel=1e-14)
     numbers = shared_truth["seed003"]["eq13"]
     assert balanced["fig5_a"].rod_counterweight_n == pytest.approx(float(numbers["P4"]), rel=1e-14)
     assert balanced["fig5_a"].crank_counterweight_n == pytest.approx(float(numbers["P5"]), rel=1e-14)
@@ -248,10 +225,10 @@ def test_equation_13_cancels_every_shaking_force(shared_truth):
 @pytest.mark.parametrize(("name", "joint"), [("fig3_ac", "pin"), ("fig5_bcd", "strut")])
 def test_a_table_closes_and_holds_the_moment_at_its_angles(name, joint):
     crank = CRANKS[name]
-    table = hinge_table(crank, CURVE, joint=joint, speed_rpm=2000.0, n_steps=90)
+    table = elastic_hinge.hinge_table(crank, CURVE, joint=joint, speed_rpm=2000.0, n_steps=90)
     scale = np.abs(table.moment_nm).max()
     assert abs(table.work_j[-1]) < 1e-13 * scale
-    needed = hinge_moment if joint == "pin" else strut_hinge_moment
+    needed = hinged_crank.hinge_moment if joint == "pin" else elastic_hinge.strut_hinge_moment
     moment = needed(table.crank_angle_rev, crank, CURVE, speed_rpm=2000.0, pin_hinge="potential")
     np.testing.assert_allclose(table.moment_nm, moment, rtol=0, atol=1e-14 * scale)
     assert (np.diff(table.crank_angle_rev) > 0).all()
@@ -259,9 +236,9 @@ def test_a_table_closes_and_holds_the_moment_at_its_angles(name, joint):
 
 
 def test_where_inertia_alone_acts_the_pressure_goes_with_the_squared_speed():
-    crank = balanced_crank(CRANKS["fig5_bcd"])
+    crank = elastic_hinge.balanced_crank(CRANKS["fig5_bcd"])
     for joint, torque in (("pin", NO_TORQUE), ("strut", NO_TORQUE), ("strut", CURVE)):
-        change = air_spring(crank, torque, joint=joint, designed_speed_rpm=2000.0, speed_rpm=3000.0)
+        change = elastic_hinge.air_spring(crank, torque, joint=joint, designed_speed_rpm=2000.0, speed_rpm=3000.0)
         # at the strut the gas torque is taken whole by the hinge at the pin
         assert change["pressure_ratio"] == pytest.approx(2.25, rel=1e-12)
         assert change["residual_share"] < 1e-12
@@ -269,8 +246,10 @@ def test_where_inertia_alone_acts_the_pressure_goes_with_the_squared_speed():
 
 def test_no_other_pressure_leaves_less_and_what_is_left_is_told():
     crank = CRANKS["fig5_bcd"]
-    change = air_spring(crank, CURVE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=1200.0)
-    before, after = (hinge_table(crank, CURVE, joint="pin", speed_rpm=rpm, n_steps=2880) for rpm in (1000.0, 1200.0))
+    change = elastic_hinge.air_spring(crank, CURVE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=1200.0)
+    before, after = (
+        elastic_hinge.hinge_table(crank, CURVE, joint="pin", speed_rpm=rpm, n_steps=2880) for rpm in (1000.0, 1200.0)
+    )
 
     def rms(ratio):
         return float(np.sqrt(np.mean((after.moment_nm - ratio * before.moment_nm)[:-1] ** 2)))
@@ -280,25 +259,25 @@ def test_no_other_pressure_leaves_less_and_what_is_left_is_told():
     assert 1 < ratio < 1.44
     assert change["residual_share"] == pytest.approx(rms(ratio) / rms(0.0), rel=1e-3)
     swing = np.ptp(after.work_j - ratio * before.work_j)
-    energy = np.mean(reduced_inertia(after.crank_angle_rev[:-1], crank)) * (1200.0 * np.pi / 30) ** 2
+    energy = np.mean(elastic_hinge.reduced_inertia(after.crank_angle_rev[:-1], crank)) * (1200.0 * np.pi / 30) ** 2
     assert change["speed_fluctuation"] == pytest.approx(swing / energy, rel=1e-3)
 
 
 def test_a_spring_without_moment_is_refused():
     weightless = changed(CRANKS["fig3_ac"], rod_weight_n=0.0, piston_weight_n=0.0, rod_inertia_kg_m2=0.0)
     with pytest.raises(RequestError, match="without a moment"):
-        air_spring(weightless, NO_TORQUE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=2000.0)
+        elastic_hinge.air_spring(weightless, NO_TORQUE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=2000.0)
 
 
-SPRING = GuideData(
+SPRING = hinged_crank.GuideData(
     free_length_m=0.3, least_compression_m=0.03, most_compression_m=0.13, middle_radius_m=0.22, roller_radius_m=0.012
 )
 
 
 @pytest.mark.parametrize(("name", "joint"), [("fig3_bd", "pin"), ("fig5_bcd", "strut")])
 def test_analytic_the_spring_between_its_guides_makes_the_moment_of_the_hinge(name, joint):
-    table = hinge_table(CRANKS[name], CURVE, joint=joint, speed_rpm=3000.0, n_steps=7200)
-    guides = hinge_guides(table, SPRING)
+    table = elastic_hinge.hinge_table(CRANKS[name], CURVE, joint=joint, speed_rpm=3000.0, n_steps=7200)
+    guides = elastic_hinge.hinge_guides(table, SPRING)
     compression = SPRING.free_length_m - guides.length_m
     assert compression.min() == pytest.approx(0.03, rel=1e-9)
     assert compression.max() == pytest.approx(0.13, rel=1e-9)
@@ -321,22 +300,22 @@ def test_analytic_the_spring_between_its_guides_makes_the_moment_of_the_hinge(na
 
 
 def test_a_roller_larger_than_the_bends_of_its_guide_is_told_and_a_spring_that_cannot_be_is_refused():
-    table = hinge_table(CRANKS["fig5_bcd"], CURVE, joint="pin", speed_rpm=3000.0, n_steps=720)
-    assert not hinge_guides(table, SPRING).undercut
-    assert hinge_guides(table, SPRING.model_copy(update={"roller_radius_m": 0.2})).undercut
+    table = elastic_hinge.hinge_table(CRANKS["fig5_bcd"], CURVE, joint="pin", speed_rpm=3000.0, n_steps=720)
+    assert not elastic_hinge.hinge_guides(table, SPRING).undercut
+    assert elastic_hinge.hinge_guides(table, SPRING.model_copy(update={"roller_radius_m": 0.2})).undercut
     for key, value in (("most_compression_m", 0.02), ("middle_radius_m", 0.1)):
         with pytest.raises(ValueError, match=key):
-            GuideData(**(SPRING.model_dump() | {key: value}))
+            hinged_crank.GuideData(**(SPRING.model_dump() | {key: value}))
 
 
 def test_the_sheet_has_the_curves_of_figure_3():
-    found = {one["name"]: one for one in hinge_sheet(ENGINE, max_order=4)["mechanisms"]}
+    found = {one["name"]: one for one in elastic_hinge.hinge_sheet(ENGINE, max_order=4)["mechanisms"]}
     crank = CRANKS["fig3_ac"]
     for speed, curves in found["fig3_ac"]["curves"].items():
         angles = np.array(curves["crank_angle_deg"]) / 360
-        full = hinge_moment(angles, crank, CURVE, speed_rpm=float(speed))
+        full = hinged_crank.hinge_moment(angles, crank, CURVE, speed_rpm=float(speed))
         assert curves["m12_full_nm"] == pytest.approx(full.tolist(), rel=1e-6)
         withheld = np.array(curves["m12_full_nm"]) - curves["m12_printed_nm"]
         # equations (6) and (7): what the hinge leaves out is what the cylinder wall takes
-        cosine = rod_motion(angles, crank).rod_cosine
+        cosine = hinged_crank.rod_motion(angles, crank).rod_cosine
         assert withheld == pytest.approx(np.array(curves["r43_printed_n"]) * crank.rod_length_m * cosine, rel=1e-6)

@@ -5,22 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from crankorder.engine import forces
 from crankorder.engine.balance_data import load_balanced_engine
 from crankorder.engine.cycle_tables import crank_torque, cycle_balance, cycle_curves, roll_moment
 from crankorder.engine.definition import Engine, load_engine
-from crankorder.engine.forces import (
-    DIRECTIONS,
-    crankcase_forces,
-    crankcase_moments,
-    cylinder_loads,
-    firing_angle_deg,
-    firing_intervals_deg,
-    gas_force,
-    gas_torque,
-    gas_torque_by_order,
-    inertia_torque_by_order,
-    main_bearing_loads,
-)
 from crankorder.engine.slider_crank import rod_angle
 from crankorder.errors import RequestError
 
@@ -39,17 +27,19 @@ def engine(**differences):
 def test_a_torque_curve_is_taken_as_it_is():
     curve = {"crank_angle_deg": [-30.0, 0.0, 90.0, 300.0], "torque_n_m": [1.0, 4.0, -2.0, 0.5]}
     model = engine(gas=curve)
-    assert gas_torque(model, np.array([0, 0.25, 2.25, -1 / 12, 45 / 360])) == pytest.approx([4, -2, -2, 1, 1])
+    assert forces.gas_torque(model, np.array([0, 0.25, 2.25, -1 / 12, 45 / 360])) == pytest.approx([4, -2, -2, 1, 1])
     with pytest.raises(RequestError, match="no gas force"):
-        gas_force(model, 0.1)
-    assert not any(force(engine(gas=None), np.linspace(0, 2, 9)).any() for force in (gas_force, gas_torque))
+        forces.gas_force(model, 0.1)
+    assert not any(
+        force(engine(gas=None), np.linspace(0, 2, 9)).any() for force in (forces.gas_force, forces.gas_torque)
+    )
 
 
 def test_the_orders_of_a_straight_line_curve_are_exact():
     # a triangle over the cycle: height 1 at dead centre, 8/pi^2 / n^2 at odd half orders
     triangle = {"crank_angle_deg": [0.0, 360.0], "torque_n_m": [1.0, -1.0]}
     cylinders = [{"firing_deg": 0.0}, {"crank_deg": 180.0, "firing_deg": 180.0}]
-    orders, torque = gas_torque_by_order(engine(gas=triangle, cylinders=cylinders), 5)
+    orders, torque = forces.gas_torque_by_order(engine(gas=triangle, cylinders=cylinders), 5)
     known = np.where(np.arange(11) % 2, 8 / np.pi**2 / np.maximum(np.arange(11), 1) ** 2, 0)
     assert orders[1] == 0.5
     assert np.abs(torque - known * (1 + np.exp(-1j * np.pi * orders))).max() < 1e-8
@@ -57,9 +47,9 @@ def test_the_orders_of_a_straight_line_curve_are_exact():
 
 def test_a_single_cylinder_fires_where_it_stands():
     model = engine(cylinders=[{"crank_deg": 30.0, "bank_deg": 10.0}])
-    assert firing_angle_deg(model, model.cylinders[0]) == 340
+    assert forces.firing_angle_deg(model, model.cylinders[0]) == 340
     two_stroke = engine(cycle="two-stroke", gas=None, cylinders=[{}, {"crank_deg": 180.0}])
-    assert firing_angle_deg(two_stroke, two_stroke.cylinders[1]) == 180
+    assert forces.firing_angle_deg(two_stroke, two_stroke.cylinders[1]) == 180
 
 
 def volume(model, turned, ratio):
@@ -72,8 +62,7 @@ def volume(model, turned, ratio):
 
 
 def pressure(model, degrees):
-    assert model.bore_m is not None
-    return gas_force(model, np.asarray(degrees) / 360) / (math.pi / 4 * model.bore_m**2) + 101325.0
+    return forces.gas_force(model, np.asarray(degrees) / 360) / (math.pi / 4 * model.bore_m**2) + 101325.0
 
 
 @pytest.mark.parametrize("offset_m", [0.0, 0.008])
@@ -83,7 +72,7 @@ def test_an_ideal_cycle_does_the_work_of_the_textbook(offset_m):
     assert ends[1] / ends[0] == pytest.approx(9.5, rel=1e-9)
     otto = 900.0 * (1 - 9.5 ** (1 - 1.35))
     pumping = (8e4 - 1.1e5) * (ends[1] - ends[0])
-    mean = gas_torque_by_order(model, 1)[1][0].real
+    mean = forces.gas_torque_by_order(model, 1)[1][0].real
     assert 4 * math.pi * mean == pytest.approx(otto + pumping, rel=3e-5)
 
 
@@ -105,7 +94,7 @@ def test_heat_over_some_angle_follows_the_first_law():
 def test_a_two_stroke_cycle_is_closed_all_the_way_round():
     ideal = {key: value for key, value in IDEAL.items() if key != "exhaust_pa"}
     model = engine(cycle="two-stroke", gas={"ideal": ideal})
-    mean = gas_torque_by_order(model, 1)[1][0].real
+    mean = forces.gas_torque_by_order(model, 1)[1][0].real
     assert 2 * math.pi * mean == pytest.approx(900.0 * (1 - 9.5 ** (1 - 1.35)), rel=3e-5)
     with pytest.raises(ValueError, match="exhaust"):
         engine(cycle="two-stroke")
@@ -143,7 +132,7 @@ def test_loads_are_those_of_an_independent_newton_euler_solution(seed):
     rod = {"mass_kg": 0.55, "centre_from_big_end_m": float(draw.uniform(0, 0.12)), "inertia_kg_m2": 0.003}
     model = engine(offset_m=float(draw.uniform(-0.02, 0.02)), rod=rod)
     speed, angles = float(draw.uniform(0, 9000)), draw.uniform(0, 2, 40)
-    loads, gas = cylinder_loads(model, angles, speed), gas_force(model, angles)
+    loads, gas = forces.cylinder_loads(model, angles, speed), forces.gas_force(model, angles)
     scale = max(float(np.abs(loads.crank_pin_n).max()), float(np.abs(gas).max()))
     for name, value in newton_euler(model, 2 * math.pi * angles, speed * math.pi / 30, gas).items():
         assert np.abs(getattr(loads, name) - value).max() < 1e-9 * scale, name
@@ -163,7 +152,7 @@ def test_block_and_crank_feel_the_sum_of_gas_and_masses_that_newton_gives_body_b
     angles, felt = 4 * np.pi * np.arange(samples) / samples, np.zeros((4, samples))
     for single, cylinder in zip(model.each, model.cylinders, strict=True):
         bank, turned = math.radians(cylinder.bank_deg), angles + math.radians(cylinder.crank_deg - cylinder.bank_deg)
-        gas = gas_force(single, angles / (2 * np.pi) - firing_angle_deg(model, cylinder) / 360)
+        gas = forces.gas_force(single, angles / (2 * np.pi) - forces.firing_angle_deg(model, cylinder) / 360)
         loads = newton_euler(single, turned, speed * math.pi / 30, gas)
         along, across = loads["main_n"] + np.stack([gas, loads["side_thrust_n"]])
         pin = model.crank_radius_m * np.stack([np.cos(turned), np.sin(turned)])
@@ -178,7 +167,7 @@ def test_block_and_crank_feel_the_sum_of_gas_and_masses_that_newton_gives_body_b
         sums = {f"{order:g}": size for order, size in zip(moment.order, np.abs(known), strict=True) if order}
         assert {k: row["sum_n_m"] for k, row in moment.table(speed).items()} == pytest.approx(sums, rel=1e-5)
     masses = np.zeros((2, 2 * top + 1), dtype=complex)
-    masses[:, ::2] = crankcase_forces(model, speed, max_order=top)[[Z, X]]
+    masses[:, ::2] = forces.crankcase_forces(model, speed, max_order=top)[[Z, X]]
     assert np.abs(lines[:2] - masses)[:, 1:].max() < 1e-12 * np.abs(masses).max()  # gas adds no force
 
 
@@ -211,7 +200,7 @@ def test_firing_intervals_are_told_with_their_evenness():
         ((0.0, 180.0, 360.0, 540.0), [180.0] * 4), ((0.0, 360.0, 180.0, 180.0), [180.0, 0.0, 180.0, 360.0])
     ):  # fmt: skip
         model = engine(cylinders=[{"crank_deg": -angle % 360, "firing_deg": angle} for angle in firing])
-        assert list(firing_intervals_deg(model)) == intervals
+        assert list(forces.firing_intervals_deg(model)) == intervals
         assert cycle_balance(model, max_order=4, speeds=[1000.0])["firing"]["even"] == (len(set(intervals)) == 1)
 
 
@@ -221,7 +210,6 @@ def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_
     rows = "crank_angle_deg,pressure_pa\n-360,1e5\n0,3e6\n30,4e6\n180,2e5\n"
     (tmp_path / "p.csv").write_text(rows)
     for model in (load_engine("it.toml", beside=tmp_path), load_balanced_engine(str(tmp_path / "it.toml")).engine):
-        assert model.gas is not None
         assert model.gas.pressure_pa == (1e5, 3e6, 4e6, 2e5)
     for wrong, says in (
         (rows.replace("3e6", "high"), "high"), (rows.replace("pressure_pa", "bar"), "bar"), ("", "no rows"),
@@ -237,7 +225,7 @@ def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_
 # Loads inside the engine against the laws that they must obey: action and reaction, work, angular momentum.
 
 
-X, Y, Z = (DIRECTIONS.index(name) for name in ("X", "Y", "Z"))
+X, Y, Z = (forces.DIRECTIONS.index(name) for name in ("X", "Y", "Z"))
 SPEED_RPM = 1500.0
 OMEGA = SPEED_RPM * np.pi / 30
 ANGLES = np.linspace(0, 2, 361)
@@ -256,19 +244,19 @@ def summed(by_order, angles=ANGLES):
 @pytest.mark.parametrize("offset_m", [0.0, 0.01, -0.02])
 def test_loads_add_up_to_the_inertia_force_the_rolling_moment_and_the_torque(offset_m):
     model = loaded_engine(offset_m=offset_m)
-    loads = cylinder_loads(model, ANGLES, SPEED_RPM)
-    forces = summed(crankcase_forces(model, SPEED_RPM, max_order=70))
+    loads = forces.cylinder_loads(model, ANGLES, SPEED_RPM)
+    inertia_n = summed(forces.crankcase_forces(model, SPEED_RPM, max_order=70))
     scale = np.abs(loads.main_n).max()
-    assert np.abs(loads.main_n[0] + loads.head_n - forces[Z]).max() < 1e-13 * scale
-    assert np.abs(loads.main_n[1] + loads.side_thrust_n - forces[X]).max() < 1e-13 * scale
+    assert np.abs(loads.main_n[0] + loads.head_n - inertia_n[Z]).max() < 1e-13 * scale
+    assert np.abs(loads.main_n[1] + loads.side_thrust_n - inertia_n[X]).max() < 1e-13 * scale
     # side thrust on its lever and gas on its offset
     psi, _, _ = rod_angle(ANGLES, model.mechanism)
     height = model.crank_radius_m * np.cos(2 * np.pi * ANGLES) + model.rod_length_m * np.cos(psi)
     moment = height * loads.side_thrust_n - offset_m * loads.head_n
-    gas = gas_torque(model, ANGLES)
-    rolling = summed(crankcase_moments(model, SPEED_RPM, max_order=70))[Y] - gas
+    gas = forces.gas_torque(model, ANGLES)
+    rolling = summed(forces.crankcase_moments(model, SPEED_RPM, max_order=70))[Y] - gas
     assert np.abs(moment - rolling).max() < 1e-12 * np.abs(moment).max()
-    inertia = summed(inertia_torque_by_order(model, 70) * OMEGA**2)
+    inertia = summed(forces.inertia_torque_by_order(model, 70) * OMEGA**2)
     assert np.abs(loads.torque_n_m - gas - inertia).max() < 1e-12 * np.abs(loads.torque_n_m).max()
 
 
@@ -281,8 +269,8 @@ def test_the_main_bearings_together_carry_throws_of_their_own_masses_and_webs_in
     places = [-0.1, 0.0, 0.1]
     webs = [{"unbalance_g_mm": 2e4, "angle_deg": 70.0, "position_m": 0.12}]
     model = loaded_engine(cylinders=cylinders, webs=webs, main_bearings_m=places)
-    loads = [cylinder_loads(model, ANGLES, SPEED_RPM, cylinder=number) for number in range(len(cylinders))]
-    bearings = main_bearing_loads(model, ANGLES, SPEED_RPM, loads)
+    loads = [forces.cylinder_loads(model, ANGLES, SPEED_RPM, cylinder=number) for number in range(len(cylinders))]
+    bearings = forces.main_bearing_loads(model, ANGLES, SPEED_RPM, loads)
     assert bearings.shape == (3, 3, ANGLES.size)
     turned = 2 * np.pi * ANGLES + np.radians(70.0)
     force = 2e4 * 1e-6 * OMEGA**2 * np.stack([np.sin(turned), 0 * turned, np.cos(turned)])
@@ -303,8 +291,8 @@ def test_the_main_bearings_together_carry_throws_of_their_own_masses_and_webs_in
 def test_cylinders_of_one_engine_carry_the_same_loads_at_other_angles():
     cylinders = [{"firing_deg": 0.0}, {"crank_deg": 180.0, "bank_deg": 45.0, "firing_deg": 585.0}]
     model = loaded_engine(cylinders=cylinders)
-    one = cylinder_loads(model, ANGLES, SPEED_RPM)
-    other = cylinder_loads(model, ANGLES + 585 / 360, SPEED_RPM, cylinder=1)
+    one = forces.cylinder_loads(model, ANGLES, SPEED_RPM)
+    other = forces.cylinder_loads(model, ANGLES + 585 / 360, SPEED_RPM, cylinder=1)
     for name in ("side_thrust_n", "piston_pin_n", "crank_pin_n", "main_n", "head_n", "torque_n_m"):
         assert getattr(other, name) == pytest.approx(getattr(one, name), rel=1e-9, abs=1e-7), name
 
@@ -316,7 +304,7 @@ def test_what_is_missing_for_loads_is_named():
         (loaded_engine(cylinders=[{}, {"crank_deg": 180.0}], main_bearings_m=[-0.1, 0.1]), "which revolution"),
     ):
         with pytest.raises(RequestError, match=fault):
-            cylinder_loads(model, ANGLES, SPEED_RPM)
+            forces.cylinder_loads(model, ANGLES, SPEED_RPM)
 
 
 def test_a_rod_that_almost_lies_flat_keeps_the_digits_of_its_loads():
@@ -324,7 +312,7 @@ def test_a_rod_that_almost_lies_flat_keeps_the_digits_of_its_loads():
     radius, rod = 0.045 * (1 - 1e-9), 0.045
     for offset_m in (0.0, 1e-11, -1e-11):
         model = loaded_engine(rod=None, crank_radius_m=radius, rod_length_m=rod, offset_m=offset_m)
-        loads = cylinder_loads(model, np.array([0.25]), 0.0)
+        loads = forces.cylinder_loads(model, np.array([0.25]), 0.0)
         gas, across, short = float(loads.head_n[0]), radius - offset_m, rod - radius + offset_m
         assert loads.side_thrust_n[0] == pytest.approx(-gas * across / np.sqrt(short * (rod + across)), rel=1e-13)
         assert loads.torque_n_m[0] == pytest.approx(gas * radius, rel=1e-14)

@@ -16,7 +16,7 @@ import crankorder as co
 from crankorder import front_door
 from crankorder.errors import CrankorderError, InputError, ManyErrors, RequestError
 from crankorder.settings import load_settings
-from made.recordings import manifest
+from made.recordings import write_manifest
 
 RATE_HZ, SPEED_RPM = 8192.0, 1470.0
 TIME = np.arange(int(6.0 * RATE_HZ)) / RATE_HZ
@@ -122,8 +122,7 @@ def folder(tmp_path_factory):
         np.savetxt(made / f"{rpm}.csv", np.column_stack([TIME, signal]), delimiter=",", header="time,a", comments="")
     recordings = {"files": ["*.csv"], "speed_rpm": {"1200.csv": 1200.0, "1800.csv": 1800.0}}
     tables = {"recordings": recordings, "sampling": {"time_source": "time"}, "encoder": {"kind": "constant"}}
-    (made / "run.toml").write_text(manifest(name="rotor", channels={"a": {}}, **tables))
-    return made
+    return write_manifest(made, name="rotor", channels={"a": {}}, **tables)
 
 
 def test_recordings_in_memory_give_what_their_files_give(folder, tmp_path):

@@ -5,12 +5,11 @@ import xarray as xr
 
 from crankorder.identify.lines.line_evidence import alias_flags as flags_of_aliases
 from crankorder.identify.lines.line_evidence import shown_aliases
-from crankorder.settings import load_settings
 from crankorder.shaft.aliasing import aliased_order
 from made.found_lines import line
+from made.shipped import SETTINGS
 
 SPEEDS = np.arange(1150.0, 1260.0, 10.0)
-SETTINGS = load_settings()
 
 
 def alias_flags(order_map, settings):

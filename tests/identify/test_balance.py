@@ -64,8 +64,7 @@ def test_without_noise_the_mass_is_exact():
 
 
 def test_shafts_that_are_too_heavy_leave_a_mass_below_zero():
-    record = told(made(7, residual_kg=-0.2))
-    low, high = record["residual_reciprocating_g_ci95"]
+    low, high = told(made(7, residual_kg=-0.2))["residual_reciprocating_g_ci95"]
     assert low <= -200 <= high < 0
 
 

@@ -9,14 +9,13 @@ from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.identify.bearing_records import bearing_records, races_words
 from crankorder.identify.order_changes import RunAmplitudes, run_amplitudes, trend_over
 from crankorder.orders.envelope import envelope_map, recording_envelope
-from crankorder.settings import load_settings
 from made.found_lines import agreed, line
+from made.shipped import SETTINGS
 from made.strikes import recording, strikes
 from made.typed import as_dicts
 
 bearing_records = as_dicts(bearing_records)
 
-SETTINGS = load_settings()
 NINE = Bearing(name="drive end", designation="6205-2RS")
 JACK = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=0.2)
 ORDERS = bearing_orders(NINE)
@@ -184,7 +183,6 @@ def test_runs_that_scatter_more_than_their_errors_say_widen_the_interval():
 
 
 def test_damage_that_grows_by_half_a_run_is_followed_through_the_envelopes():
-    bearing = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=0.2)
     order = 2.2 * 0.992
     runs = []
     for run in range(4):
@@ -195,7 +193,7 @@ def test_damage_that_grows_by_half_a_run_is_followed_through_the_envelopes():
         items = [recording_envelope(*one, settings=SETTINGS.orders) for one in made]
         runs.append(envelope_map(items, speed_bin_rpm=25.0))
     for one in runs:
-        found = bearing_records((), one, bearings=(bearing,), revs_per_cycle=2, settings=SETTINGS.identify)
+        found = bearing_records((), one, bearings=(JACK,), revs_per_cycle=2, settings=SETTINGS.identify)
         assert found[0]["line"] == "BPFO"
         assert found[0]["slip_percent_ci95"][0] < 0.8 < found[0]["slip_percent_ci95"][1]
     every = trend_over(run_amplitudes(runs, order=order))

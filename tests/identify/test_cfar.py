@@ -8,11 +8,10 @@ from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.search import search
 from crankorder.orders.map import order_map
-from crankorder.settings import load_settings
 from made.floors import Made, campbell_of
 from made.line_frames import PER_REV, frames_of, rung
+from made.shipped import SETTINGS
 
-SETTINGS = load_settings()
 AXIS = np.arange(321) / 16
 BINS = reference_bins(AXIS, line_step=0.5, guard_bins=2, n_bins=16)
 
@@ -73,7 +72,6 @@ def test_the_skirts_of_a_giant_line_are_no_floor_and_no_mode(speeds):
     """130 dB over the noise of a bin a Hann window leaks over sixty bins."""
     campbell = campbell_of(_made(speeds, 1000.0), 0)
     floor = quiet_floor(campbell, ((6.0, 1e-6),))
-    assert floor is not None
     level = np.nanmedian(floor.cells)
     assert np.nanmax(floor.cells) < 12.0 * level  # some noise of some six frames
     assert np.isfinite(floor.psd).mean() > 0.5
@@ -90,6 +88,5 @@ def test_a_line_leaks_though_the_frames_that_hold_it_are_taken_for_a_start():
         settled_share=(("channel", "speed", "settled_frequency"), np.zeros(none.shape)),
     ).assign_coords(settled_frequency=campbell["frequency"].values[bins])
     floor = quiet_floor(moved, ((6.0, 1e-6),))
-    assert floor is not None
     beside = np.abs(floor.frequency_hz - 120.0) < 12.0
     assert not np.isfinite(floor.cells[0, 0, beside]).any()

@@ -7,15 +7,14 @@ import pytest
 
 from crankorder.identify.crossings import amplification, crossings
 from crankorder.identify.modes.responses import held_amplitudes, shapes
-from crankorder.settings import load_settings
 from made.found_lines import SPEEDS_RPM, agreed, fit, fitted_response, line, made_response, mode, resonant
+from made.shipped import IDENTIFY
 
-SETTINGS = load_settings().identify
 RANGE = (600.0, 2000.0)
 
 
 def table(orders, modal, *, speed_rpm=RANGE, stated=()):
-    found = crossings(tuple(orders), modal, speed_rpm=speed_rpm, settings=SETTINGS, stated=stated)
+    found = crossings(tuple(orders), modal, speed_rpm=speed_rpm, settings=IDENTIFY, stated=stated)
     return {(crossing.finding.order, crossing.finding.mode_hz): crossing.finding for crossing in found}
 
 
@@ -169,7 +168,7 @@ def test_a_residue_fitted_to_noise_proves_no_mode():
 
 
 def test_without_a_known_speed_nothing_meets():
-    assert crossings((agreed(4.0),), fit(mode(100.0)), speed_rpm=(np.nan, np.nan), settings=SETTINGS) == ()
+    assert crossings((agreed(4.0),), fit(mode(100.0)), speed_rpm=(np.nan, np.nan), settings=IDENTIFY) == ()
 
 
 def test_amplitudes_of_nothing_and_without_an_error_take_no_part():

@@ -8,8 +8,8 @@ from scipy.signal import welch
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import Cause, Causes
 from crankorder.identify.found import Tone
-from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
+from made.shipped import IDENTIFY
 
 
 def told_shares(*args, **kwargs):
@@ -21,7 +21,6 @@ def told_shares(*args, **kwargs):
     return told | {"unexplained_energy_fraction": fraction}
 
 
-SETTINGS = load_settings().identify
 SPEEDS = np.arange(600.0, 2001.0, 100.0)
 FREQUENCY = np.arange(0.0, 500.25, 0.5)
 N_FRAMES = 40
@@ -78,7 +77,7 @@ def seen(k, amplitude, *, speeds=SPEEDS):
 
 def shares(made, orders=(), known=(), modal=None, tones=()):
     modal = modal or fit(**surface(made.sizes["channel"]))
-    return told_shares(made, made, tuple(orders), modal, causes(orders, known, tones), settings=SETTINGS)
+    return told_shares(made, made, tuple(orders), modal, causes(orders, known, tones), settings=IDENTIFY)
 
 
 def total_of(record):
@@ -173,7 +172,7 @@ def test_a_test_without_speeds_is_judged_by_its_order_map():
     order_map = order_map_of(lines, speeds=SPEEDS[:1]).assign_coords(speed=[np.nan])
     empty = campbell().isel(speed=slice(0, 0))
     orders = [seen(k, a, speeds=[np.nan]) for k, a in ((2.0, 1.0), (5.5, 0.5))]
-    record = told_shares(empty, order_map, tuple(orders), fit(), causes(orders, (True, False)), settings=SETTINGS)
+    record = told_shares(empty, order_map, tuple(orders), fit(), causes(orders, (True, False)), settings=IDENTIFY)
     (channel,) = record["channels"]
     assert channel["orders"] * channel["total"] == pytest.approx(0.5, rel=0.02)
     assert channel["unexplained_lines"] * channel["total"] == pytest.approx(0.125, rel=0.02)
@@ -218,7 +217,7 @@ def test_what_lies_above_the_campbell_map_is_read_in_the_order_map_and_all_adds_
     lines = [(order(15.0), 0.8), (lambda _: 650.0, 0.6)]
     made = order_map_of(lines, speeds=speeds)
     below, lined = campbell(lines, speeds=speeds), (seen(15.0, 0.8, speeds=speeds),)
-    record = told_shares(below, made, lined, fit(**surface()), causes(lined, (True,)), settings=SETTINGS)
+    record = told_shares(below, made, lined, fit(**surface()), causes(lined, (True,)), settings=IDENTIFY)
     (channel,) = record["channels"]
     total = 0.5 * below["psd"].values[..., 2:].sum(axis=-1).mean()
     hertz = made["order"].values * speeds[:, None] / 60
@@ -234,7 +233,7 @@ def test_natural_frequencies_above_the_campbell_map_are_no_lines():
     speeds = np.array([1700.0, 2900.0])
     above = order_map_of(speeds=speeds, modes=((560.0, 0.005, 1e4), (640.0, 0.02, 30.0), (830.0, 0.04, 1e3)))
     below = campbell(speeds=speeds)
-    (channel,) = told_shares(below, above, (), fit(**surface()), causes(), settings=SETTINGS)["channels"]
+    (channel,) = told_shares(below, above, (), fit(**surface()), causes(), settings=IDENTIFY)["channels"]
     assert channel["unexplained"] == 0.0
 
 

@@ -8,17 +8,16 @@ import pytest
 from crankorder.identify.modes.order_responses import Block, with_best_law
 from crankorder.identify.modes.responses import least_seen
 from crankorder.identify.modes.surface_fit import NO_POLES
-from crankorder.settings import load_settings
 from made.drawn_orders import CHANNELS, blocks_from, drawn_machine
+from made.shipped import IDENTIFY
 
-SETTINGS = load_settings().identify
 UNIT = dict.fromkeys(CHANNELS, "m/s2")
-FACTOR = SETTINGS.free_amplification
+FACTOR = IDENTIFY.free_amplification
 
 
 def _bounds(blocks):
     told = [with_best_law(block, NO_POLES) for block in blocks]
-    return least_seen(told, NO_POLES, unit=UNIT, settings=SETTINGS)
+    return least_seen(told, NO_POLES, unit=UNIT, settings=IDENTIFY)
 
 
 def _planted(seed):

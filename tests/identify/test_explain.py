@@ -17,12 +17,11 @@ from crankorder.identify.sidebands import race_cause, struck_races
 from crankorder.ingest.manifest import Gear
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
-from crankorder.settings import load_settings
 from crankorder.shaft.aliasing import Alias
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode
+from made.shipped import IDENTIFY
 from made.typed import record_of
 
-SETTINGS = load_settings().identify
 FOUR_STROKE = MachineModel(revs_per_cycle=2)
 ROTOR = MachineModel(revs_per_cycle=1)
 ENGINE = MachineModel(revs_per_cycle=2, engine_orders=(1.0, 2.0, 4.0))
@@ -32,7 +31,7 @@ JACK_SHAFT = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ba
 def causes(orders, sources, *, modal=None, bearings=(), quantity="acceleration", unit="m/s2", folds=()):
     measured = {"quantity": dict.fromkeys("ABC", quantity)}
     beside = Beside(in_cylinder="ABC" if is_cylinder_pressure(quantity, unit) else "", folds=folds)
-    given = {"sources": sources, "settings": SETTINGS, "beside": beside, **measured}
+    given = {"sources": sources, "settings": IDENTIFY, "beside": beside, **measured}
     return explained(tuple(orders), modal or fit(), list(bearings), **given)
 
 
@@ -169,7 +168,7 @@ def test_a_mesh_is_told_by_its_sidebands_and_named_where_it_was_stated():
 
 def test_each_channel_has_its_own_cause():
     order = agreed(1.0, line(1.0, channel="A", speed_rpm=[1500.0]), line(1.0, channel="B", speed_rpm=[1500.0]))
-    given = {"quantity": {"A": "acceleration", "B": "pressure"}, "settings": SETTINGS}
+    given = {"quantity": {"A": "acceleration", "B": "pressure"}, "settings": IDENTIFY}
     found = explained((order,), fit(), [], sources=FOUR_STROKE, beside=Beside(in_cylinder=["B"]), **given).orders
     assert {key: cause.text for key, cause in found.items()} == {("A", 1.0): LIKE_UNBALANCE, ("B", 1.0): "gas cycle"}
 

@@ -11,15 +11,13 @@ from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.report.sentences.story import headline, story_of
-from crankorder.settings import load_settings
 from made.command import analysed
 from made.found_lines import agreed
-from made.recordings import line, manifest, steady, total, write_hdf5
+from made.recordings import line, steady, total, write_hdf5, write_manifest
+from made.shipped import SETTINGS
 from made.typed import as_dicts
 
 find = as_dicts(find)
-
-SETTINGS = load_settings()
 
 
 def findings_of(signal, *, duration_s):
@@ -47,9 +45,6 @@ def test_a_line_in_too_short_a_test_is_named_with_its_reservation():
 # A speed that the vibration tells only in doubt carries no sentence that is sure of it.
 
 
-MANIFEST = manifest("*.h5", channels={"Z": {"source": "z"}}, sampling={"rate_hz": 4096}, encoder={"kind": "vibration"})
-
-
 def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed():
     tie = {"recording": "a.h5", "flag": "speed_tie", "severity": "suspect", "detail": "0.5 x fits nearly as well"}
     assert speed_doubt([]) is None and speed_doubt([{**tie, "flag": "no_index"}]) is None
@@ -66,9 +61,8 @@ def test_even_orders_alone_leave_the_speed_open_and_the_page_says_so(tmp_path):
     rng, at = np.random.default_rng(3), np.arange(4 * 4096) / 4096.0
     signal = sum(size * np.cos(2 * np.pi * k * 25.0 * at + k) for k, size in ((2.0, 1.0), (4.0, 0.6), (6.0, 0.4)))
     signal = signal + 3.0 * np.cos(2 * np.pi * 73.3 * at) + 0.5 * rng.standard_normal(at.size)
-    (tmp_path / "in").mkdir()
-    write_hdf5(tmp_path / "in" / "a.h5", {"z": signal})
-    (tmp_path / "in" / "run.toml").write_text(MANIFEST, encoding="utf-8")
+    tables = {"channels": {"Z": {"source": "z"}}, "sampling": {"rate_hz": 4096}, "encoder": {"kind": "vibration"}}
+    write_hdf5(write_manifest(tmp_path / "in", "*.h5", **tables) / "a.h5", {"z": signal})
     findings = analysed(tmp_path / "in", tmp_path / "out")
     assert findings["speed_doubt"] and not findings["free_bands"]
     assert {record["lock"] for record in findings["orders"]} <= {"undecided"}

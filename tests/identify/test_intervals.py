@@ -8,10 +8,8 @@ from scipy.stats import false_discovery_control, norm
 
 from crankorder.identify.crossings import crossings
 from crankorder.orders.intervals import Z95, adjusted, claimed, error_of, half_width, half_widths, interval, simes
-from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, mode
-
-SETTINGS = load_settings().identify
+from made.shipped import IDENTIFY
 
 
 def test_half_widths_are_those_of_the_tables():
@@ -41,7 +39,7 @@ def test_a_frequency_that_is_hardly_known_and_the_speeds_at_which_orders_meet_it
     vague = dataclasses.replace(mode(40.0), frequency_error_hz=error_hz, damping_error=0.01)
     assert vague.frequency_ends[0] > 0.0
     met = crossings(
-        (agreed(1.0, lock="slips", error=0.4),), fit(vague), speed_rpm=(600.0, 3000.0), stated=(3.0,), settings=SETTINGS
+        (agreed(1.0, lock="slips", error=0.4),), fit(vague), speed_rpm=(600.0, 3000.0), stated=(3.0,), settings=IDENTIFY
     )
     assert len(met) == 2
     assert all(crossing.ends_rpm[0] > 0.0 and crossing.finding.mode_hz_ci95[0] > 0.0 for crossing in met)

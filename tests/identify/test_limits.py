@@ -78,7 +78,6 @@ def test_the_balance_grade_is_unbalance_over_mass_times_speed():
     """By hand: 500 g mm on 20 kg are 25 µm; at 3000 rpm, 314.159 rad/s, G is 7.854 mm/s."""
     balance = Balance(residual_rotating_gmm=500.0, residual_rotating_gmm_ci95=(480.0, 520.0))
     made = graded(balance, sources(1.0), 3000.0)
-    assert made is not None
     assert made.grade_mm_s == pytest.approx(7.853982, rel=1e-6)
     assert made.grade_speed_rpm == 3000.0
     levels = measured({900.0: 1.0}, seed=3)

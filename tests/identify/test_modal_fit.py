@@ -10,10 +10,9 @@ from crankorder.fft.windows import window_named
 from crankorder.identify.modes.floor import quiet_floor, spectral_window
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.surface_fit import pole_columns
-from crankorder.settings import load_settings
 from made.found_lines import agreed, line
+from made.shipped import IDENTIFY
 
-SETTINGS = load_settings().identify
 THREE = Made(
     natural_hz=(60.0, 172.0, 187.0), damping=(0.02, 0.01, 0.01),
     sensor=((0.006, 0.010), (0.008, 0.004), (0.004, 0.009)), drive=((0.2, 1.7), (0.8, 0.7), (-0.6, -0.9)), rate_hz=640.0
@@ -30,7 +29,7 @@ def _fit(made, seed=1, orders=(), quantity=()):
     campbell = campbell_of(made, seed)
     if quantity:
         campbell = campbell.assign_coords(quantity=("channel", list(quantity)))
-    return modal_fit(campbell, no_orders(campbell), _agreed(orders, made), settings=SETTINGS)
+    return modal_fit(campbell, no_orders(campbell), _agreed(orders, made), settings=IDENTIFY)
 
 
 def test_close_modes_are_told_apart_with_their_damping():
@@ -84,8 +83,8 @@ def test_orders_that_sweep_through_a_mode_tell_its_frequency_better_than_the_flo
     campbell = campbell_of(THREE, 1)
     by_order = orders_of(THREE, ((4.0, 20.0), (6.0, 10.0)), error=0.002, seed=2)
     orders = _agreed((4.0, 6.0), THREE)
-    alone = modal_fit(campbell, no_orders(campbell), orders, settings=SETTINGS)
-    both = modal_fit(campbell, by_order, orders, settings=SETTINGS)
+    alone = modal_fit(campbell, no_orders(campbell), orders, settings=IDENTIFY)
+    both = modal_fit(campbell, by_order, orders, settings=IDENTIFY)
     assert both.modes[0].reached_by == (4.0, 6.0)
     assert both.modes[0].frequency_error_hz < 0.7 * alone.modes[0].frequency_error_hz
     assert inside(both, THREE)
@@ -96,7 +95,7 @@ def test_an_order_that_the_modes_do_not_explain_takes_no_part():
     campbell = campbell_of(THREE, 1)
     by_order = orders_of(THREE, ((4.0, 20.0),), error=0.002, seed=2)
     by_order["phase"] = by_order["phase"] + 90.0 * np.sin(np.arange(len(THREE.speed_rpm)))[None, :, None]
-    fit = modal_fit(campbell, by_order, _agreed((4.0,), THREE), settings=SETTINGS)
+    fit = modal_fit(campbell, by_order, _agreed((4.0,), THREE), settings=IDENTIFY)
     assert not any(item.fits for item in fit.responses)
     assert all(mode.reached_by == () for mode in fit.modes)
     assert inside(fit, THREE)
@@ -104,7 +103,7 @@ def test_an_order_that_the_modes_do_not_explain_takes_no_part():
 
 def test_a_map_without_speeds_has_no_modes():
     campbell = campbell_of(THREE, 1).isel(speed=slice(0, 0))
-    assert modal_fit(campbell, no_orders(campbell), (), settings=SETTINGS).modes == ()
+    assert modal_fit(campbell, no_orders(campbell), (), settings=IDENTIFY).modes == ()
 
 
 def test_a_channel_that_is_missing_at_all_speeds_takes_no_part():
@@ -113,7 +112,7 @@ def test_a_channel_that_is_missing_at_all_speeds_takes_no_part():
     used = np.repeat(campbell["n_frames"].values[None], 2, axis=0)
     used[1] = 0
     campbell["n_frames_used"] = (("channel", "speed"), used)
-    fit = modal_fit(campbell, no_orders(campbell), (), settings=SETTINGS)
+    fit = modal_fit(campbell, no_orders(campbell), (), settings=IDENTIFY)
     assert [mode.channels for mode in fit.modes] == [("X",)] * 3
     assert inside(fit, THREE)
 
@@ -135,7 +134,7 @@ def test_more_poles_than_bins_are_no_fault():
     for n_bins in (4, 7, 15):
         part = campbell.isel(frequency=slice(0, n_bins))
         bins = (part["psd"].dims, random.gamma(0.3, 1.0, part["psd"].shape))
-        fit = modal_fit(part.assign(psd=bins), no_orders(part), (), settings=SETTINGS)
+        fit = modal_fit(part.assign(psd=bins), no_orders(part), (), settings=IDENTIFY)
         assert all(np.isfinite(mode.frequency_hz) for mode in fit.modes)
 
 

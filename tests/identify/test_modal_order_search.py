@@ -11,31 +11,27 @@ from crankorder.identify.modes.joint_fit import modal_fit, mode_of
 from crankorder.identify.modes.order_responses import Block, Rows
 from crankorder.identify.modes.order_search import poles_of_orders, settled
 from crankorder.identify.modes.surface_fit import NO_POLES
-from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, DrawnOrder, blocks_from, drawn_machine
 from made.floors import no_orders
+from made.shipped import IDENTIFY
 from made.structures import RATE_HZ, drawn, recorded
 
-SETTINGS = load_settings().identify
 SAME = 0.01
 """Share of a frequency, or the damping ratio where it is larger, within which two poles are one."""
 
 
 def _modes(blocks):
-    laid, poles, _ = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), settings=SETTINGS)
+    laid, poles, _ = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), settings=IDENTIFY)
     told = settled(laid, NO_POLES, poles)
     parts = [told.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(told.found))]
     every = NO_POLES
     for pole in told.found:
         every = every.with_pole(pole.frequency_hz, pole.damping)
-    found = [mode_of(pole, part, every, settings=SETTINGS) for pole, part in zip(told.found, parts, strict=True)]
+    found = [mode_of(pole, part, every, settings=IDENTIFY) for pole, part in zip(told.found, parts, strict=True)]
     return [item for item in found if item is not None]
 
 
-@pytest.mark.parametrize(
-    ("seed", "draws", "power"),
-    [(0, {}, False), (1, {"n_modes": (1, 2)}, True)],
-)
+@pytest.mark.parametrize(("seed", "draws", "power"), [(0, {}, False), (1, {"n_modes": (1, 2)}, True)])
 def test_modes_that_orders_sweep_through_are_found_within_their_errors_by_phases_and_by_squares(seed, draws, power):
     """Found is each mode of which two rows of one order lie within two half widths."""
     machine = drawn_machine(seed, **draws)
@@ -110,7 +106,7 @@ def test_a_mode_far_above_what_is_swept_and_noise_in_place_of_an_order_invent_no
 
 def test_a_search_that_stops_at_its_bound_says_so(monkeypatch):
     blocks = blocks_from(_by_order_one((61.0,), (0.08,)), 1)
-    settings = SETTINGS.model_copy(update={"max_damping_ratio": 0.2})
+    settings = IDENTIFY.model_copy(update={"max_damping_ratio": 0.2})
     for most, ends in ((0, False), (1, False), (9, True)):
         monkeypatch.setitem(vars(order_search.NUMBERS), "most_starts", most)
         *_, ended = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), settings=settings)
@@ -123,7 +119,7 @@ def test_a_search_that_stops_at_its_bound_says_so(monkeypatch):
 def fitted(campbell, made):
     """Modal fit of the floor alone, the orders known."""
     orders = tuple(AgreedOrder(float(order), 1e-5, 30.0, "locked", None, ()) for order in made.order)
-    return modal_fit(campbell, no_orders(campbell), orders, settings=SETTINGS)
+    return modal_fit(campbell, no_orders(campbell), orders, settings=IDENTIFY)
 
 
 def with_light_mode(seed, *, n_speeds, near_hz, damping):

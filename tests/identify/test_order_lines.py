@@ -15,11 +15,10 @@ from crankorder.identify.modes.order_responses import Force
 from crankorder.identify.modes.responses import held_peak
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import track_order
-from crankorder.settings import load_settings
 from made.found_lines import fit, made_response, mode
 from made.line_frames import PER_REV, agreed_in, angle_of, frames_of, wave
+from made.shipped import SETTINGS
 
-SETTINGS = load_settings()
 SPEEDS = np.arange(600.0, 1800.0, 50.0)
 
 

@@ -9,11 +9,10 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.found import SpeedVerdicts, UnseenBound
 from crankorder.identify.modes.responses import held_amplitudes
 from crankorder.identify.speeds_to_avoid import Sizes, as_avoided, lone_peaks, speeds_to_avoid
-from crankorder.settings import load_settings
 from made.drawn_orders import drawn_machine, judged
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, made_response, mode, resonant
+from made.shipped import IDENTIFY
 
-SETTINGS = load_settings().identify
 RANGE = (600.0, 2000.0)
 UNIT = {"A": "m/s2", "B": "m/s2", "pressure": "bar"}
 
@@ -24,8 +23,8 @@ def seen_everything(*orders):
 
 
 def judge(orders, modal, *, speed_rpm=RANGE, stated=()):
-    found = crossings(tuple(orders), modal, speed_rpm=speed_rpm, settings=SETTINGS, stated=stated)
-    return speeds_to_avoid(found, tuple(orders), modal, speed_rpm=speed_rpm, unit=UNIT, settings=SETTINGS)
+    found = crossings(tuple(orders), modal, speed_rpm=speed_rpm, settings=IDENTIFY, stated=stated)
+    return speeds_to_avoid(found, tuple(orders), modal, speed_rpm=speed_rpm, unit=UNIT, settings=IDENTIFY)
 
 
 def ends(bands):
@@ -100,14 +99,14 @@ def test_the_amplification_beside_a_peak_is_that_of_its_channel_and_never_below_
     rows = [held_amplitudes(one, SPEEDS_RPM, alone)[0] for one in responses]
     lines = [line(4.0, row, channel=name, error=1e-3) for name, row in zip(residue, rows, strict=True)]
     orders, modal = [agreed(4.0, *lines)], fit(between, responses=tuple(responses))
-    found = crossings(tuple(orders), modal, speed_rpm=RANGE, settings=SETTINGS)
+    found = crossings(tuple(orders), modal, speed_rpm=RANGE, settings=IDENTIFY)
     verdicts = judge(orders, modal)
     (item,) = verdicts.avoid
     truth = np.hypot(1.0, strong / (2.0 * damping))
     assert item.channel == "B" and not item.at_least
     assert item.amplification == pytest.approx(truth, rel=1e-3)
     low, high = item.amplification_ci95
-    assert SETTINGS.free_amplification < low < truth < high
+    assert IDENTIFY.free_amplification < low < truth < high
     (met,) = as_avoided(found, verdicts.avoid)
     assert (met.amplification, met.amplification_ci95) == (item.amplification, item.amplification_ci95)
     assert "B" in met.channels and met.evidence.startswith("in B, where it is largest")
@@ -131,12 +130,12 @@ def test_an_excited_crossing_at_which_the_order_was_not_measured_is_to_be_avoide
     """As in a firing engine's campaign: a mode shown by other orders, an order that does not stand out there."""
     speeds = np.arange(1500.0, 2000.1, 50.0)
     orders, modal = [agreed(4.0, line(4.0, 1.0, speed_rpm=speeds))], fit(mode(60.0))
-    (met,) = crossings(tuple(orders), modal, speed_rpm=RANGE, settings=SETTINGS)
+    (met,) = crossings(tuple(orders), modal, speed_rpm=RANGE, settings=IDENTIFY)
     finding = replace(
         met.finding, verdict="excited", excited=True, amplification_predicted=5.0, amplification_ci95=None
     )
     shown = replace(met, finding=finding, trends=())
-    (speed,) = speeds_to_avoid([shown], tuple(orders), modal, speed_rpm=RANGE, unit=UNIT, settings=SETTINGS).avoid
+    (speed,) = speeds_to_avoid([shown], tuple(orders), modal, speed_rpm=RANGE, unit=UNIT, settings=IDENTIFY).avoid
     assert speed.amplitude is None and speed.amplification is None and not speed.at_least
     assert speed.rpm_range[0] < 900.0 < speed.rpm_range[1]
 
@@ -193,7 +192,7 @@ def test_a_stated_gear_mesh_that_does_not_stand_out_leaves_its_crossing_open():
 
 
 def test_a_test_of_unknown_speed_says_nothing_and_one_at_one_speed_has_no_free_band():
-    unknown = speeds_to_avoid([], (), fit(), speed_rpm=(np.nan, np.nan), unit=UNIT, settings=SETTINGS)
+    unknown = speeds_to_avoid([], (), fit(), speed_rpm=(np.nan, np.nan), unit=UNIT, settings=IDENTIFY)
     assert unknown == SpeedVerdicts((), (), ())
     speed = np.array([1500.0])
     one = agreed(4.0, line(4.0, 2.0, speed_rpm=speed))

@@ -4,23 +4,18 @@ import numpy as np
 import pytest
 
 from made.command import done, findings_in
-from made.recordings import manifest
-
-MANIFEST = manifest(
-    "*.csv", channels={"Z": {"source": "z"}}, sampling={"time_source": "t"}, encoder={"source": "rpm", "kind": "speed"},
-)  # fmt: skip
+from made.recordings import write_manifest, write_table
 
 
 def folder_of(folder, lines, *, rate_hz, rpm, noise=0.0):
     """Folder of a recording of ``lines`` (amplitude by order) at the speed ``rpm`` (samples,), which is a channel."""
-    folder.mkdir()
+    tables = {"sampling": {"time_source": "t"}, "encoder": {"source": "rpm", "kind": "speed"}}
+    write_manifest(folder, "*.csv", channels={"Z": {"source": "z"}}, **tables)
     time_s = np.arange(len(rpm)) / rate_hz
     turns = np.concatenate([[0.0], np.cumsum(0.5 * (rpm[1:] + rpm[:-1])) / 60.0 / rate_hz])
     signal = noise * np.random.default_rng(1).standard_normal(len(rpm))
     signal = signal + sum(size * np.cos(2 * np.pi * order * turns + order) for order, size in lines.items())
-    columns = np.column_stack((time_s, rpm, signal))
-    np.savetxt(folder / "a.csv", columns, delimiter=",", fmt="%.9g", header="t,rpm,z", comments="")
-    (folder / "run.toml").write_text(MANIFEST, encoding="utf-8")
+    write_table(folder / "a.csv", {"t": time_s, "rpm": rpm, "z": signal})
     return folder
 
 

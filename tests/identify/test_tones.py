@@ -15,11 +15,10 @@ from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.floor import Floor
 from crankorder.identify.modes.tones import kind_of, with_one_mains, without_absent_mains
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
-from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
 from made.line_frames import held_at
+from made.shipped import IDENTIFY
 
-SETTINGS = load_settings().identify
 RPM = 1777.0
 
 
@@ -36,20 +35,20 @@ def told(*tones):
 def test_a_high_multiple_of_the_mains_that_a_recording_lacks_is_a_tone():
     with_it, without = recorded((349.8, 0.5)), recorded((100.0, 1.0))
     modal = replace(told((349.8, 0.5)), tones=(Tone(349.8, 0.01, "mains", {"A": (0.5, 0.01)}, "7 times"),))
-    (tone,) = without_absent_mains(modal, [*with_it, *without], settings=SETTINGS).tones
+    (tone,) = without_absent_mains(modal, [*with_it, *without], settings=IDENTIFY).tones
     assert tone.kind == "tone" and "1 of 2 recordings" in tone.evidence
-    assert without_absent_mains(modal, with_it, settings=SETTINGS).tones == modal.tones
+    assert without_absent_mains(modal, with_it, settings=IDENTIFY).tones == modal.tones
     for hertz, kind in ((250.2, "mains"), (250.3, "tone")):  # a weak multiple of a supply that is seen, where it fits
         tones = told((50.04, 1.0), (hertz, 0.5))
         mains = tuple(replace(one, kind="mains") for one in tones.tones)
-        _, high = without_absent_mains(replace(tones, tones=mains), recorded((50.04, 1.0)), settings=SETTINGS).tones
+        _, high = without_absent_mains(replace(tones, tones=mains), recorded((50.04, 1.0)), settings=IDENTIFY).tones
         assert high.kind == kind
 
 
 def test_a_multiple_that_tells_another_frequency_than_one_told_better_is_no_mains():
     def kinds(*tones):
         made = [Tone(hertz, error, "mains", {"A": (1.0, 0.01)}, "no damping") for hertz, error in tones]
-        return [tone.kind for tone in with_one_mains(made, settings=SETTINGS)]
+        return [tone.kind for tone in with_one_mains(made, settings=IDENTIFY)]
 
     assert kinds((59.792, 0.015), (119.978, 0.02)) == ["tone", "mains"]
     assert kinds((59.992, 0.015), (119.978, 0.02), (359.93, 0.01)) == ["mains"] * 3
@@ -88,7 +87,7 @@ AT_1600 = 1e3 * (HELD == 1600.0)
 )  # fmt: skip
 def test_a_line_at_all_speeds_is_a_tone_and_one_on_an_order_at_one_of_them_an_order(hertz, speed, size, kind, words):
     floor = floor_with(hertz, speed, np.broadcast_to(size, len(speed)), 1)
-    told, said = kind_of(hertz, 0.01, floor, settings=SETTINGS)
+    told, said = kind_of(hertz, 0.01, floor, settings=IDENTIFY)
     assert told == kind
     assert "speeds" not in said if words is None else words in said
 
@@ -106,7 +105,7 @@ def at_speed(order, rpm, *, lock="slips", error=1e-5):
 
 def said(*orders, longest_rev=np.inf):
     sources = {"sources": ROTOR, "quantity": {"A": "acceleration"}, "beside": Beside(longest_rev=longest_rev)}
-    causes = explained(orders, fit(), [], settings=SETTINGS, **sources)
+    causes = explained(orders, fit(), [], settings=IDENTIFY, **sources)
     return [causes.orders["A", one.order].text for one in orders]
 
 
@@ -162,7 +161,7 @@ def test_only_what_goes_with_the_speed_meets_natural_frequencies():
     second, doubtful = at_speed(2.0, rpm, lock="locked"), at_speed(60.0 * 41.0 / rpm, rpm, lock="undecided")
     swept = agreed(3.3, line(3.3), lock="slips")
     orders = (mains, tone, second, doubtful, swept)
-    causes = explained(orders, fit(), [], sources=ROTOR, quantity={"A": "acceleration"}, settings=SETTINGS)
+    causes = explained(orders, fit(), [], sources=ROTOR, quantity={"A": "acceleration"}, settings=IDENTIFY)
     assert going_with_speed(orders, causes) == (second, swept)
 
 

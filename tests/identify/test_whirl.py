@@ -15,9 +15,9 @@ from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.whirl import whirls_of, without_remains
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.report.sentences.of_lines import mode_sentences
-from crankorder.settings import load_settings
 from made.floors import campbell_map_of, no_orders
 from made.found_lines import agreed, fit, line
+from made.shipped import IDENTIFY
 from made.typed import as_dicts, from_dicts
 
 RATE_HZ, N_FRAME = 512.0, 1024
@@ -72,7 +72,6 @@ def whirling_campbell(rotor, seed):
 
 mode_records = as_dicts(mode_records)
 
-SETTINGS = load_settings().identify
 FORWARD = Moving(hz=56.0, slope=0.12, damping=0.02)
 BACKWARD = Moving(hz=56.0, slope=-0.1, damping=0.02)
 STAYS = (Moving(hz=90.0, slope=0.0, damping=0.02), Moving(hz=61.0, slope=0.0, damping=0.01))
@@ -80,15 +79,14 @@ STAYS = (Moving(hz=90.0, slope=0.0, damping=0.02), Moving(hz=61.0, slope=0.0, da
 
 def _whirls(rotor, seed):
     floor = quiet_floor(whirling_campbell(rotor, seed), ())
-    assert floor is not None
-    return whirls_of(floor, settings=SETTINGS)[1]
+    return whirls_of(floor, settings=IDENTIFY)[1]
 
 
 def _fit(rotor, seed):
     campbell = whirling_campbell(rotor, seed)
     orders = no_orders(campbell)
     orders = orders.assign_coords(unit=("channel", ["m/s²"] * orders.sizes["channel"]))
-    return modal_fit(campbell, orders, (), settings=SETTINGS)
+    return modal_fit(campbell, orders, (), settings=IDENTIFY)
 
 
 def test_a_steep_whirl_in_noise_is_found_within_its_errors_and_none_else():
@@ -159,12 +157,12 @@ def test_an_order_meets_a_whirl_where_both_have_one_frequency_and_the_speed_is_n
     assert whirl.line_at(rpm) == pytest.approx(order * rpm / 60.0)
     orders = (agreed(order, line(order, _through(order, whirl), speed_rpm=TRACK)),)
     modal = fit(whirls=(whirl,))
-    (crossing,) = crossings(orders, modal, speed_rpm=RANGE, settings=SETTINGS)
+    (crossing,) = crossings(orders, modal, speed_rpm=RANGE, settings=IDENTIFY)
     met = crossing.finding
     assert met.rpm == pytest.approx(rpm) and met.rpm_ci95[0] < rpm < met.rpm_ci95[1]
     assert met.mode_hz == pytest.approx(order * rpm / 60.0)
     assert met.evidence.startswith(f"a whirl that moves by {slope:.3g} orders")
-    said = speeds_to_avoid([crossing], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=SETTINGS)
+    said = speeds_to_avoid([crossing], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=IDENTIFY)
     if not RANGE[0] < rpm < RANGE[1]:
         assert met.verdict == "outside the tested range"
         return
@@ -181,17 +179,17 @@ def test_an_undecided_crossing_of_a_whirl_is_open_and_never_free():
     orders = (agreed(1.0, line(1.0, (coarse / 1000.0) ** 2, speed_rpm=coarse)),)
     unseen = (UnseenBound(1.0, TRACK, np.ones(len(TRACK))),)
     modal = fit(whirls=(whirl,), unseen=unseen)
-    (crossing,) = crossings(orders, modal, speed_rpm=RANGE, settings=SETTINGS)
+    (crossing,) = crossings(orders, modal, speed_rpm=RANGE, settings=IDENTIFY)
     met = crossing.finding
     assert met.verdict in ("not measured", "not decided")
-    said = speeds_to_avoid([crossing], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=SETTINGS)
+    said = speeds_to_avoid([crossing], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=IDENTIFY)
     assert said.free, "far from the whirl the speeds are free"
     assert not any(band.low_rpm < met.rpm * 1.03 and band.high_rpm > met.rpm * 0.97 for band in said.free)
     assert any("whirl" in band.remark for band in said.open)
 
 
 def test_a_stated_order_that_was_not_seen_meets_the_whirl_too():
-    (crossing,) = crossings((), fit(whirls=(_known(-0.1),)), speed_rpm=RANGE, settings=SETTINGS, stated=(2.0,))
+    (crossing,) = crossings((), fit(whirls=(_known(-0.1),)), speed_rpm=RANGE, settings=IDENTIFY, stated=(2.0,))
     met = crossing.finding
     assert met.verdict == "not measured" and met.rpm == pytest.approx(60.0 * 60.0 / 2.1)
 
@@ -199,7 +197,6 @@ def test_a_stated_order_that_was_not_seen_meets_the_whirl_too():
 def test_a_mode_that_orders_alone_show_where_they_meet_a_whirl_and_a_hump_on_its_path_are_that_whirl():
     whirl = _known(0.12, hz=40.0)
     rpm = whirl.meets(1.0)
-    assert rpm is not None
     seen = Mode(rpm / 60.0 + 0.1, 0.05, 0.023, 0.001, ("A",), 9.0, "orders", reached_by=(1.0,))
     other = Mode(120.0, 0.05, 0.02, 0.001, ("A",), 9.0, "orders", reached_by=(2.0,))
     hump = Mode(45.0, 0.5, 0.06, 0.01, ("A",), 9.0, "the floor", undecided="wide")

@@ -13,7 +13,7 @@ from crankorder.ingest.formats import read_file
 from crankorder.ingest.recording import recording_of
 from crankorder.quantities import flags_of
 from made.command import crankorder, findings_in
-from made.recordings import manifest, write_hdf5
+from made.recordings import manifest, write_hdf5, write_manifest
 
 MANIFEST = manifest(
     channels={"Z": {"source": "acc"}},
@@ -81,8 +81,7 @@ def test_a_wrong_manifest_is_all_that_is_checked(tmp_path, limits):
 @pytest.mark.slow
 def test_a_cam_mark_of_another_length_is_found_without_reading(tmp_path, limits):
     encoder = {"kind": "square", "source": "enc", "pulses_per_rev": 4, "cam": "cam"}
-    text = manifest("*.h5", cycle="four-stroke", channels={"Z": {"source": "acc"}}, encoder=encoder)
-    (tmp_path / "run.toml").write_text(text)
+    write_manifest(tmp_path, "*.h5", cycle="four-stroke", channels={"Z": {"source": "acc"}}, encoder=encoder)
     recorded(tmp_path / "good.h5", acc=np.arange(10.0), enc=np.arange(10.0), cam=np.arange(9.0))
     (fault,) = check_folder(tmp_path, settings=limits)
     assert "lengths differ: Z has 10 samples, the cam mark has 9" in str(fault)

@@ -148,10 +148,8 @@ def test_two_rates_of_one_file_are_told_and_none_is_taken(tmp_path, settings):
 
 def test_a_list_of_edges_or_of_times_is_drafted_without_channels(tmp_path):
     write_table(tmp_path / "a.csv", {"crank_edge_time_s": np.cumsum(np.linspace(2.4e-3, 1.1e-3, 2000))})
-    assert (
-        'kind = "pulse_times"' in draft_manifests(tmp_path).text
-        and "[[channels]]" not in draft_manifests(tmp_path).text
-    )
+    text = draft_manifests(tmp_path).text
+    assert 'kind = "pulse_times"' in text and "[[channels]]" not in text
     for named in [True, False]:
         teeth_s = np.arange(0, 4, 1 / 720)[np.arange(2880) % 36 < 34]
         rows = [line for at in teeth_s for line in (f"{at:.7f},1", f"{at + 3e-4:.7f},0")]

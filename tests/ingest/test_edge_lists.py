@@ -12,14 +12,12 @@ from crankorder.errors import InputError
 from crankorder.ingest.draft import draft_manifests
 from crankorder.ingest.manifest import load_manifest, parts_of
 from crankorder.quantities import flags_of
-from crankorder.synth.write import toml_text
 from made.command import analysed, crankorder, done, findings_in
-from made.recordings import manifest, write_hdf5, write_table
+from made.recordings import write_hdf5, write_manifest, write_table
 
 TEETH, MISSING, MEAN_RPM, SWING_RPM, LENGTH_S = 36, 1, 1400.0, 12.0, 6.0
 RATE_HZ = 5000
 
-HEAD = {"schema_version": 1, "test": {"cycle": "four-stroke"}, "recordings": {"files": ["a.csv"]}}
 WHEEL = {"pulses_per_rev": TEETH, "missing_teeth": MISSING}
 
 
@@ -64,12 +62,9 @@ def flags_in(findings):
 
 
 def test_edges_alone_are_a_test_of_the_shaft(tmp_path):
-    folder = tmp_path / "edges"
-    folder.mkdir()
-    write_edges(folder / "a.csv", rows_of(*edges_of(1)))
     tables = {"sampling": {"time_source": "Time [s]"}, "encoder": {"kind": "edge_list", "source": "crank", **WHEEL}}
-    text = toml_text({**HEAD, "test": {"name": "edges", "cycle": "four-stroke"}, **tables})
-    (folder / "run.toml").write_text(text, encoding="utf-8")
+    folder = write_manifest(tmp_path / "edges", "a.csv", name="edges", cycle="four-stroke", channels={}, **tables)
+    write_edges(folder / "a.csv", rows_of(*edges_of(1)))
     done("check", folder)
     assert "The shaft turned at 13" in done("run", folder, "--out", tmp_path / "out").output
     found = findings_in(tmp_path / "out")
@@ -86,7 +81,7 @@ def test_edges_alone_are_a_test_of_the_shaft(tmp_path):
 
 def test_a_test_without_channels_needs_pulses(tmp_path):
     (tmp_path / "a.csv").write_text("1,2\n3,4\n", encoding="utf-8")
-    (tmp_path / "run.toml").write_text(toml_text(HEAD), encoding="utf-8")
+    write_manifest(tmp_path, "a.csv", cycle="four-stroke", channels={})
     checked = crankorder("check", tmp_path)
     assert checked.exit_code != 0
     assert "no channel is named" in checked.output and "edge_list" in checked.output
@@ -94,13 +89,11 @@ def test_a_test_without_channels_needs_pulses(tmp_path):
 
 def joined(folder, *, offset_s=0.0):
     """A folder with a signal and beside it the edges of its crank on a clock that starts ``offset_s`` later."""
-    folder.mkdir()
-    write_signal(folder / "a.h5")
-    write_edges(folder / "a.edges.csv", rows_of(*(edges - offset_s for edges in edges_of(0))))
     encoder = {"file": "*.edges.csv", "kind": "edge_list", "source": "crank", "time_source": "Time [s]"}
     encoder |= {"offset_s": offset_s, **WHEEL}
-    text = manifest("*", name="joined", cycle="four-stroke", channels={"A": {"source": "a"}}, encoder=encoder)
-    (folder / "run.toml").write_text(text, encoding="utf-8")
+    write_manifest(folder, "*", name="joined", cycle="four-stroke", channels={"A": {"source": "a"}}, encoder=encoder)
+    write_signal(folder / "a.h5")
+    write_edges(folder / "a.edges.csv", rows_of(*(edges - offset_s for edges in edges_of(0))))
     return folder
 
 
@@ -120,12 +113,9 @@ def test_d13_clocks_of_two_devices_are_said_not_to_be_compared_and_those_of_one_
     pulses = edges_of(0)[0]
     assert told["severity"] == "info"
     assert f"in {1e-5 * (pulses[-1] - pulses[0]) * 1e3:.2g} ms" in told["detail"]
-    folder = tmp_path / "alone"
-    folder.mkdir()
+    tables = {"channels": {"A": {"source": "a"}}, "encoder": {"kind": "pulse_times", "source": "pulses", **WHEEL}}
+    folder = write_manifest(tmp_path / "alone", "*.h5", name="alone", cycle="four-stroke", **tables)
     write_signal(folder / "a.h5", pulses=pulses)
-    encoder = {"kind": "pulse_times", "source": "pulses", **WHEEL}
-    text = manifest("*.h5", name="alone", cycle="four-stroke", channels={"A": {"source": "a"}}, encoder=encoder)
-    (folder / "run.toml").write_text(text, encoding="utf-8")
     assert "clocks_not_compared" not in flags_in(analysed(folder, tmp_path / "alone-out", "--no-pictures"))
 
 
@@ -257,9 +247,8 @@ def test_parts_that_do_not_pair_are_refused(tmp_path):
     ]
     for files, pulses, words in rows:
         encoder = {"file": pulses, "source": "timestamp_us", "kind": "pulse_times", "pulses_per_rev": 1}
-        channels = {"y_g": {"unit": "g"}}
-        text = manifest(files, channels=channels, sampling={"time_source": "timestamp_us"}, encoder=encoder)
-        (folder / "run.toml").write_text(text, encoding="utf-8")
+        tables = {"channels": {"y_g": {"unit": "g"}}, "sampling": {"time_source": "timestamp_us"}, "encoder": encoder}
+        write_manifest(folder, files, **tables)
         checked = crankorder("check", folder)
         assert bool(checked.exit_code) == bool(words), checked.output
         assert words in checked.output

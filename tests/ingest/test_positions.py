@@ -12,7 +12,7 @@ from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.stages import shaft as shaft_stage
 from made.command import crankorder, done
-from made.recordings import manifest, write_hdf5, write_table
+from made.recordings import write_hdf5, write_manifest, write_table
 
 RATE_HZ, LENGTH_S = 4000.0, 4.0
 TIME_S = np.arange(int(RATE_HZ * LENGTH_S)) / RATE_HZ
@@ -91,8 +91,8 @@ def test_a_position_tells_the_angle_with_every_sample(tmp_path, settings, read_i
 def test_a_count_that_is_not_as_stated_is_refused(tmp_path, read_in, position, told):
     path = written(tmp_path, position, "position", "counts", signal_of(turns_of(15, 33)))
     encoder = {"kind": "count", "source": "position (counts)", "pulses_per_rev": 1024}
-    text = manifest("*.csv", channels={"acc (m/s2)": {}}, sampling={"time_source": "time (s)"}, encoder=encoder)
-    (tmp_path / "run.toml").write_text(text)
+    sampling = {"time_source": "time (s)"}
+    write_manifest(tmp_path, "*.csv", channels={"acc (m/s2)": {}}, sampling=sampling, encoder=encoder)
     with pytest.raises(InputError, match=told):
         read_in(path)
 

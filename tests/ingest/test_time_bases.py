@@ -15,7 +15,7 @@ from crankorder.quantities import flags_of
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
 from made.command import analysed, crankorder
-from made.recordings import manifest, write_hdf5, write_table
+from made.recordings import write_hdf5, write_manifest, write_table
 from made.time_bases import WRITERS, Sampled, as_hdf5, as_lvm_of_one_segment, as_tdms
 
 FORMATS = pytest.mark.parametrize("form", WRITERS)
@@ -48,8 +48,7 @@ def manifest_in(folder, sources, channels, kind):
     shaft = sources["speed" if kind == "speed" else "tacho"]
     marks = {} if kind == "speed" else {"pulses_per_rev": 1, "index": shaft, "index_to_tdc_deg": 0.0}
     encoder = {"source": shaft, "kind": kind, **marks}
-    listed = {name: {"source": sources[name]} for name in channels}
-    (folder / "run.toml").write_text(manifest("a.*", channels=listed, encoder=encoder))
+    write_manifest(folder, "a.*", channels={name: {"source": sources[name]} for name in channels}, encoder=encoder)
 
 
 def joined(folder, settings, columns, *, channels=("acc",), kind="square", write=as_hdf5, **how):
@@ -197,12 +196,10 @@ def test_parts_of_a_file_of_several_rates_are_the_whole_of_it(tmp_path, settings
 
 def in_pieces(folder, suffix, sampling, signal, tacho, **more):
     """``folder`` with a recording of ``signal``, ``tacho`` and columns ``more``, and its manifest."""
-    folder.mkdir(exist_ok=True)
+    encoder = {"kind": "square", "source": "tacho", "pulses_per_rev": 1}
+    write_manifest(folder, "a.*", name="pieces", channels={"k": {"source": "k"}}, sampling=sampling, encoder=encoder)
     columns = more | {"k": signal, "tacho": tacho}
     (write_hdf5 if suffix == "h5" else partial(write_table, fmt="%.6f"))(folder / f"a.{suffix}", columns)
-    encoder = {"kind": "square", "source": "tacho", "pulses_per_rev": 1}
-    text = manifest("a.*", name="pieces", channels={"k": {"source": "k"}}, sampling=sampling, encoder=encoder)
-    (folder / "run.toml").write_text(text)
     return folder
 
 
@@ -267,7 +264,7 @@ def test_times_that_nothing_asks_for_agree_with_the_stated_rate_or_the_file_is_r
             times = (np.arange(n) + jitter * rng.uniform(-1.0, 1.0, n)) / rate_hz / unit
             write_table(tmp_path / "a.csv", {name: times, "acc": rng.standard_normal(n)}, fmt="%.12g")
             more = {"sampling": {"rate_hz": off * rate_hz}, "encoder": {"kind": "constant", "speed_rpm": 900.0}}
-            (tmp_path / "run.toml").write_text(manifest("a.csv", channels={"acc": {"source": "acc"}}, **more))
+            write_manifest(tmp_path, "a.csv", channels={"acc": {"source": "acc"}}, **more)
             if off == 1.0 or jitter:
                 assert read_in(tmp_path / "a.csv").attrs["rate_hz"] == off * rate_hz
                 continue

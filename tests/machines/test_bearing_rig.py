@@ -17,13 +17,12 @@ from crankorder.identify.bearing_records import bearing_records
 from crankorder.identify.envelope_lines import bearing_combs
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.report.sentences.story import headline
-from crankorder.settings import load_settings
 from machines.bearing_rig import FAULTS, LINE_OF, draw_rig, recorded, samples
 from made.contradictions import contradictions
+from made.shipped import SETTINGS
 from made.typed import as_dicts, findings_of
 
 bearing_records = as_dicts(bearing_records)
-SETTINGS = load_settings()
 QUIET = {"orders": (), "mains": (), "mesh": None, "colour": 0.0, "swell": 0.0, "shocks_per_s": 0.0}
 LEAST_FOUND = {"outer": 0.9, "inner": 0.6, "ball": 0.6, "cage": 0.4}
 """Share of the faults of 1.6 to 6 times the noise that are found, by part."""

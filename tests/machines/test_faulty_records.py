@@ -10,10 +10,9 @@ import pytest
 
 from crankorder.ingest.record_faults import Sampled, judged
 from crankorder.ingest.signal_faults import mend_signal
-from crankorder.settings import load_settings
 from machines.faulty_records import FAULTS, Drawn, healthy
+from made.shipped import SETTINGS
 
-SETTINGS = load_settings().ingest
 LARGE = {
     "clipped": 0.2, "spikes": 30.0, "iepe_overload": 10.0, "start_transient": 5.0, "drift": 3.0, "dead_sensor": 1000.0,
     "copied_channel": 0.5, "mains_only": 5.0, "level_step": 2.5,
@@ -27,9 +26,9 @@ def flags_of(drawn):
     """What the program says of ``drawn``, that is stored as float32 as a logger does."""
     signals = drawn.signals.astype(np.float32)
     names = [f"c{number}" for number in range(len(signals))]
-    known = [mend_signal(row, settings=SETTINGS) for row in signals]
+    known = [mend_signal(row, settings=SETTINGS.ingest) for row in signals]
     sampled = Sampled(names, drawn.quantities, drawn.quantities, drawn.rate_hz, 0.0, "s", drawn.rate_hz, drawn.shaft_hz)
-    return judged(signals, known, sampled, Path("a.h5"), settings=SETTINGS)
+    return judged(signals, known, sampled, Path("a.h5"), settings=SETTINGS.ingest)
 
 
 def draws(n, seed):

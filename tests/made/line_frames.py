@@ -16,11 +16,10 @@ from crankorder.orders.frames import spectra_by_angle
 from crankorder.orders.joint_lines import HeldFrames, Place
 from crankorder.orders.map import order_map
 from crankorder.orders.method import FrameLayout
-from crankorder.settings import load_settings
 from made import recordings
+from made.shipped import SETTINGS
 
 PER_REV, REVS, HOP, START_REV = 48, 16, 8, 3.25
-SETTINGS = load_settings()
 
 
 def frames_of(

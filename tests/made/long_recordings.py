@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from made.recordings import manifest
+from made.recordings import write_manifest
 
 NAMES = ("x", "y", "z", "encoder", "index")
 AMPLITUDES = {1.0: 1.0, 2.0: 0.5, 4.5: 0.2}
@@ -27,12 +27,11 @@ def write_long(
     folder: Path, seconds: float, *, rate_hz: float = 50_000.0, pulses_per_rev: int = 60, chunks: tuple | None = None
 ) -> Path:
     """A test-run folder with one recording of ``seconds``; never more than a block of it is in memory."""
-    folder.mkdir(parents=True)
     sampling = {"domain": "time", "rate_hz": rate_hz}
     encoder = {"source": "encoder", "kind": "square", "pulses_per_rev": pulses_per_rev, "index": "index"}
     channels = {name.upper(): {"source": name, "quantity": "acceleration"} for name in NAMES[:3]}
     stated = {"channels": channels, "sampling": sampling, "encoder": encoder | {"index_to_tdc_deg": 0.0}}
-    (folder / "run.toml").write_text(manifest("*.h5", name="long", cycle="four-stroke", **stated))
+    write_manifest(folder, "*.h5", name="long", cycle="four-stroke", **stated)
     n_samples = round(seconds * rate_hz)
     with h5py.File(folder / "long.h5", "w") as file:
         file.attrs["rate_hz"] = rate_hz

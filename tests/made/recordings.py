@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -19,12 +20,19 @@ Signal = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 def manifest(
     files: str = "a.h5", *, name: str = "made", cycle: str = "rotor",
-    channels: Mapping[str, Mapping[str, object]] | None = None, **tables: object,
+    channels: Mapping[str, Mapping[str, object]] = {"Z": {}}, **tables: object,
 ) -> str:  # fmt: skip
     """Text of a manifest: its ``channels`` by name, in m/s2 where nothing else is said, and its other ``tables``."""
-    listed = [{"name": key, "unit": "m/s2", **more} for key, more in (channels or {"Z": {}}).items()]
+    listed = [{"name": key, "unit": "m/s2", **more} for key, more in channels.items()]
     head = {"schema_version": 1, "test": {"name": name, "cycle": cycle}, "recordings": {"files": [files]}}
     return toml_text({**head, "channels": listed, **tables})
+
+
+def write_manifest(folder: Path, files: str = "a.h5", **stated: Any) -> Path:
+    """``folder``, made where there is none, with :func:`manifest` of what is ``stated`` in it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "run.toml").write_text(manifest(files, **stated), encoding="utf-8")
+    return folder
 
 
 def read_manifest(folder: Path, text: str, *, encoder: str = 'kind = "constant"\nspeed_rpm = 1000.0\n') -> Manifest:

@@ -8,10 +8,9 @@ import pytest
 from crankorder.errors import InputError
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.quantities import check_dataset, flags_of
-from crankorder.settings import load_settings
 from made.recordings import line, run_up, sampled, shaft, steady, total
+from made.shipped import ORDERS
 
-SETTINGS = load_settings().orders
 LINES = ((0.5, 0.2, 0.3), (1.0, 2.0, -1.0), (5.5, 0.7, 2.0), (12.0, 0.3, 0.4))
 LOCKED = total(*(line(*each) for each in LINES))
 
@@ -24,7 +23,7 @@ def noise(seed, sigma):
     return lambda time_s, _: sigma * np.random.default_rng(seed).standard_normal(len(time_s))
 
 
-def of(*signals, speed_rpm=1000.0, duration_s=8.0, rate_hz=2000.0, settings=SETTINGS, **given):
+def of(*signals, speed_rpm=1000.0, duration_s=8.0, rate_hz=2000.0, settings=ORDERS, **given):
     return cycle_average(
         *steady(list(signals), speed_rpm=speed_rpm, duration_s=duration_s, rate_hz=rate_hz, **given), settings=settings
     )
@@ -32,7 +31,7 @@ def of(*signals, speed_rpm=1000.0, duration_s=8.0, rate_hz=2000.0, settings=SETT
 
 @pytest.mark.parametrize(("start_rev", "tolerance"), [(-0.3, 1e-4), (1.2, 1e-6), (5.999, 1e-9)])
 def test_the_mean_cycle_of_a_locked_signal_is_the_signal_from_top_dead_centre_wherever_it_begins(start_rev, tolerance):
-    settings = SETTINGS.model_copy(update={"tolerance": tolerance})
+    settings = ORDERS.model_copy(update={"tolerance": tolerance})
     made = of(LOCKED, start_rev=start_rev, settings=settings)
     check_dataset(made, "cycle_average")
     error = made["mean"].values[0, 0] - truth(made["cycle_angle"].values)
@@ -43,9 +42,7 @@ def test_the_mean_cycle_of_a_locked_signal_is_the_signal_from_top_dead_centre_wh
 
 
 def test_a_run_up_keeps_the_waveform_and_falls_into_speed_groups():
-    made = cycle_average(
-        *run_up([LOCKED], from_rpm=600, to_rpm=1500, duration_s=20.0, rate_hz=5000.0), settings=SETTINGS
-    )
+    made = cycle_average(*run_up([LOCKED], from_rpm=600, to_rpm=1500, duration_s=20.0, rate_hz=5000.0), settings=ORDERS)
     assert made.sizes["speed"] > 20
     assert (np.diff(made["speed"].values) > 10).all()
     np.testing.assert_allclose(
@@ -57,7 +54,7 @@ def test_the_loud_end_of_a_run_up_does_not_show_at_its_quiet_begin():
     """A waveform that grows a thousandfold with speed: the ends of the record are not alike."""
     growing = lambda time_s, angle: (1.0 + 50.0 * time_s) * np.cos(2 * np.pi * 2.0 * angle)  # noqa: E731
     made = cycle_average(
-        *run_up([growing], from_rpm=600, to_rpm=1500, duration_s=20.0, rate_hz=5000.0), settings=SETTINGS
+        *run_up([growing], from_rpm=600, to_rpm=1500, duration_s=20.0, rate_hz=5000.0), settings=ORDERS
     )
     slowest = made["mean"].values[0, 0]
     # the slowest group ends before 0.6 s, where the waveform is 31 large
@@ -73,14 +70,14 @@ def test_samples_by_crank_angle_give_the_cycle_to_the_last_digits():
         ends = np.array([start_deg / 360, start_deg / 360 + 41])
         angles = shaft(np.array([0.0, math.nan]), ends, np.array([math.nan, math.nan]))
         angles.attrs["domain"] = "crank_angle"
-        made = cycle_average(band, angles, settings=SETTINGS)
+        made = cycle_average(band, angles, settings=ORDERS)
         np.testing.assert_allclose(made["mean"].values[0, 0], truth(made["cycle_angle"].values), atol=2e-12)
         assert made["standard_deviation"].values.max() < 4e-12
         assert np.isnan(made["speed"].values).all()
 
 
 def test_orders_above_the_highest_fade_instead_of_folding():
-    settings = SETTINGS.model_copy(update={"max_order": 6.0})
+    settings = ORDERS.model_copy(update={"max_order": 6.0})
     for order, left in ((6.0, 1.0), (9.0, 0.5), (12.0, 0.0), (20.0, 0.0), (37.0, 0.0)):
         made = of(line(order, 1.0, 0.3), settings=settings)
         expected = left * np.cos(2 * np.pi * order * made["cycle_angle"].values / 360 + 0.3)
@@ -101,7 +98,7 @@ def test_spread_and_error_are_those_of_the_noise_over_many_recordings():
 def test_half_orders_cancel_in_the_average_over_one_revolution():
     band, angle = steady([LOCKED], speed_rpm=1000.0, duration_s=8.0, rate_hz=2000.0)
     angle.attrs["revs_per_cycle"] = 1
-    made = cycle_average(band, angle, settings=SETTINGS)
+    made = cycle_average(band, angle, settings=ORDERS)
     assert made.sizes["cycle_angle"] == 180
     whole = [each for each in LINES if each[0] == round(each[0])]
     expected = sum(a * np.cos(2 * np.pi * o * made["cycle_angle"].values / 360 + p) for o, a, p in whole)
@@ -116,7 +113,7 @@ def test_cycles_that_a_gap_reaches_are_left_out_of_their_channel_and_counted():
     spoilt[1, 6000:6060] = 5.0
     band["signal"] = (band["signal"].dims, spoilt, {"units": "see unit"})
     band["usable"] = (band["signal"].dims, usable, {"units": "1"})
-    made = cycle_average(band, angle, settings=SETTINGS)
+    made = cycle_average(band, angle, settings=ORDERS)
     check_dataset(made, "cycle_average")
     lost = made["n_excluded"].values[:, 0]
     assert lost[0] == 0
@@ -126,7 +123,7 @@ def test_cycles_that_a_gap_reaches_are_left_out_of_their_channel_and_counted():
     assert [flag["flag"] for flag in flags_of(made)] == ["cycles_excluded"]
     usable[1] = False
     band["usable"] = (band["signal"].dims, usable, {"units": "1"})
-    none = cycle_average(band, angle, settings=SETTINGS)
+    none = cycle_average(band, angle, settings=ORDERS)
     assert np.isnan(none["mean"].values[1]).all()
     assert flags_of(none)[0]["severity"] == "bad"
 

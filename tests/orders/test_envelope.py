@@ -7,11 +7,9 @@ from scipy.special import fdtrc, gammaincc
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.orders.envelope_combs import MOST_NATS, NEAR_TRIALS, Comb, comb_nats, look_nats, looked_at
 from crankorder.quantities import check_dataset, flags_of
-from crankorder.settings import load_settings
 from made.recordings import shaft
+from made.shipped import ORDERS
 from made.strikes import recording, strikes
-
-ORDERS = load_settings().orders
 
 
 def ratio_of(made):

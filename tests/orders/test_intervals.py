@@ -11,10 +11,9 @@ from crankorder.orders.intervals import (
     wider_of,
 )
 from crankorder.orders.map import order_map
-from crankorder.settings import load_settings
 from made.order_spectra import angle_frames, coloured, lines
+from made.shipped import ORDERS
 
-SETTINGS = load_settings().orders
 BINOMIAL_SIGMAS = 4.0
 """A right test of a hundred such fails once in a hundred and fifty runs of other seeds."""
 
@@ -68,7 +67,7 @@ def test_the_interval_of_an_amplitude_without_phase_holds_the_truth():
 def test_the_truth_lies_in_95_of_100_intervals_of_the_map(colour, frames):
     given = [(5.0, 3.0, 0.7), (5.5, 1.0, 2.0), (6.0, 2.0, -1.0)]
     noise = coloured(np.random.default_rng([frames, 0]), 400, revs=8 * (frames + 1), colour=colour)
-    made = order_map([angle_frames(noise + lines(noise.shape[1], given))], settings=SETTINGS)
+    made = order_map([angle_frames(noise + lines(noise.shape[1], given))], settings=ORDERS)
     for line in given[:2]:
         for part in covered(made, *line):
             assert beyond(part) < 1.0
@@ -87,7 +86,7 @@ def repeats(rng, recordings):
 
 def test_the_interval_of_recordings_that_differ_by_a_tenth_holds_the_line_of_them_all():
     given = repeats(np.random.default_rng(2), 2)
-    made = order_map(given, settings=SETTINGS)
+    made = order_map(given, settings=ORDERS)
     for part in covered(made, 5.0, 3.0, 0.7):
         assert beyond(part, most=0.975) < 1.0  # where the frames say more than the recordings it is theirs
     freedom = made["degrees_of_freedom"].sel(order=5.0).values

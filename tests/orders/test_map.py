@@ -9,12 +9,10 @@ from crankorder.orders.like_speed import common_frames, reframed
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import order_tracks
 from crankorder.quantities import check_dataset, flags_of
-from crankorder.settings import load_settings
 from crankorder.shaft.speeds import held_speeds, speed_groups
 from made.order_spectra import REVS, SAMPLES_PER_REV, angle_frames, coloured, lines
 from made.recordings import line, run_up, steady, total
-
-SETTINGS = load_settings().orders
+from made.shipped import ORDERS
 
 
 def noise(seed, sigma):
@@ -24,7 +22,7 @@ def noise(seed, sigma):
 
 def frames_of(*signals, speed_rpm=1200.0, duration_s=10.0, name="made", **given):
     made = order_frames(
-        *steady(list(signals), speed_rpm=speed_rpm, duration_s=duration_s, rate_hz=2000.0, **given), settings=SETTINGS
+        *steady(list(signals), speed_rpm=speed_rpm, duration_s=duration_s, rate_hz=2000.0, **given), settings=ORDERS
     )
     made.attrs["recording"] = name
     return made
@@ -32,7 +30,7 @@ def frames_of(*signals, speed_rpm=1200.0, duration_s=10.0, name="made", **given)
 
 def test_a_stepped_test_gives_one_row_per_speed_slowest_first():
     frames = [frames_of(line(2.0, rpm / 1000), speed_rpm=rpm) for rpm in (1500.0, 500.0, 1000.0)]
-    made = order_map(frames, settings=SETTINGS)
+    made = order_map(frames, settings=ORDERS)
     check_dataset(made, "order_map")
     np.testing.assert_allclose(made["speed"].values, [500.0, 1000.0, 1500.0], rtol=1e-9)
     np.testing.assert_allclose(made["coherent_amplitude"].sel(order=2.0).values[0], [0.5, 1.0, 1.5], rtol=1e-6)
@@ -40,7 +38,7 @@ def test_a_stepped_test_gives_one_row_per_speed_slowest_first():
 
 
 def test_a_slipping_line_stays_in_the_energy_average_and_leaves_the_coherent_one():
-    made = order_map([frames_of(line(5.47, 1.0), duration_s=30.0)], settings=SETTINGS)
+    made = order_map([frames_of(line(5.47, 1.0), duration_s=30.0)], settings=ORDERS)
     nearest = made.sel(order=5.5)
     assert nearest["amplitude"].item() > 0.8
     assert nearest["coherent_amplitude"].item() < 0.3
@@ -51,7 +49,7 @@ def test_recordings_without_a_common_mark_are_averaged_by_power_not_against_each
     items = [frames_of(line(2.0, 1.0, phase)) for phase in (0.0, np.pi)]
     for item, reference in zip(items, references, strict=True):
         item.attrs["phase_reference"] = reference
-    made = order_map(items, settings=SETTINGS)
+    made = order_map(items, settings=ORDERS)
     assert made["coherent_amplitude"].sel(order=2.0).item() == pytest.approx(1.0, rel=1e-6)
     assert np.isnan(made["phase"].values).all()
     assert made.attrs["phase_reference"] == stated
@@ -60,7 +58,7 @@ def test_recordings_without_a_common_mark_are_averaged_by_power_not_against_each
 def test_recordings_that_end_at_different_orders_are_averaged_on_those_they_share():
     long = frames_of(line(2.0, 1.0), name="long.h5")
     short = frames_of(line(2.0, 1.0), name="short.h5").isel(order=slice(100))
-    made = order_map([long, short], settings=SETTINGS)
+    made = order_map([long, short], settings=ORDERS)
     assert made.sizes["order"] == 100
     assert made["coherent_amplitude"].sel(order=2.0).item() == pytest.approx(1.0, rel=1e-6)
     cut = [flag for flag in flags_of(made) if flag["flag"] == "orders_cut"]
@@ -71,14 +69,14 @@ def test_half_orders_of_two_recordings_with_unknown_cycle_do_not_cancel():
     one, other = (frames_of(total(line(5.5, 1.0, phase), line(2.0, 1.0))) for phase in (0.0, np.pi))
     for item in (one, other):
         item.attrs["cycle_known"] = 0
-    made = order_map([one, other], settings=SETTINGS)
+    made = order_map([one, other], settings=ORDERS)
     assert made["coherent_amplitude"].sel(order=5.5).item() == pytest.approx(1.0, rel=1e-6)
     assert made["phase"].sel(order=2.0).item() == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_recording_far_shorter_than_the_others_is_left_out_and_named():
     frames = [frames_of(line(2.0, 1.0), duration_s=10.0) for _ in range(3)]
-    made = order_map([*frames, frames_of(line(2.0, 9.0), duration_s=0.5, name="odd.h5")], settings=SETTINGS)
+    made = order_map([*frames, frames_of(line(2.0, 9.0), duration_s=0.5, name="odd.h5")], settings=ORDERS)
     assert made["coherent_amplitude"].sel(order=2.0).values == pytest.approx(1.0, rel=1e-5)
     bad = [flag for flag in flags_of(made) if flag["severity"] == "bad"]
     assert [flag["recording"] for flag in bad] == ["odd.h5"]
@@ -87,7 +85,7 @@ def test_a_recording_far_shorter_than_the_others_is_left_out_and_named():
 def test_a_recording_far_longer_than_the_others_is_cut_to_their_frames_and_every_frame_counts_once():
     short = [frames_of(line(2.0, 1.0), duration_s=0.72) for _ in range(3)]
     long = frames_of(line(2.0, 9.0), duration_s=10.0, name="long.h5")
-    made = order_map([*short, long], settings=SETTINGS)
+    made = order_map([*short, long], settings=ORDERS)
     count = made["n_frames"].item()
     assert count > 10  # 10 s hold more than ten frames of 0.72 s
     assert made["coherent_amplitude"].sel(order=2.0).values == pytest.approx((3 * 1.0 + (count - 3) * 9.0) / count)
@@ -96,28 +94,28 @@ def test_a_recording_far_longer_than_the_others_is_cut_to_their_frames_and_every
 
 def test_a_run_up_falls_into_bins_of_the_stated_width():
     recording = run_up([line(2.0, 1.0)], from_rpm=500, to_rpm=1500, duration_s=60.0, rate_hz=2000.0)
-    speed = order_map([order_frames(*recording, settings=SETTINGS)], settings=SETTINGS)["speed"].values
+    speed = order_map([order_frames(*recording, settings=ORDERS)], settings=ORDERS)["speed"].values
     assert np.diff(speed).min() > 10.0
-    assert np.diff(speed).max() < 2 * SETTINGS.speed_bin_rpm
+    assert np.diff(speed).max() < 2 * ORDERS.speed_bin_rpm
 
 
 def test_the_band_rms_holds_the_energy_of_tones_and_of_noise():
-    quiet = order_map([frames_of(line(6.0, 0.8), duration_s=20.0)], settings=SETTINGS)
-    rms = order_tracks(quiet, [6.0], settings=SETTINGS)["band_rms"].item()
+    quiet = order_map([frames_of(line(6.0, 0.8), duration_s=20.0)], settings=ORDERS)
+    rms = order_tracks(quiet, [6.0], settings=ORDERS)["band_rms"].item()
     assert rms == pytest.approx(0.8 / np.sqrt(2), rel=2e-3)
-    noisy = order_map([frames_of(noise(3, 1.0), duration_s=200.0)], settings=SETTINGS)
-    rms = order_tracks(noisy, [7.0], settings=SETTINGS)["band_rms"].item()
+    noisy = order_map([frames_of(noise(3, 1.0), duration_s=200.0)], settings=ORDERS)
+    rms = order_tracks(noisy, [7.0], settings=ORDERS)["band_rms"].item()
     # white noise of variance 1 over 1000 Hz: half an order at 20 Hz is 10 Hz
     assert rms == pytest.approx(np.sqrt(10.0 / 1000.0), rel=0.05)
 
 
 def test_recordings_of_a_low_rate_and_unlike_speeds_share_one_order_axis():
     frames = [
-        order_frames(*steady([line(1.0, 1.0)], speed_rpm=rpm, duration_s=4.0, rate_hz=952.0), settings=SETTINGS)
+        order_frames(*steady([line(1.0, 1.0)], speed_rpm=rpm, duration_s=4.0, rate_hz=952.0), settings=ORDERS)
         for rpm in (1500.0, 3000.0, 5600.0)
     ]
     assert len({item.sizes["order"] for item in frames}) == 1
-    made = order_map(frames, settings=SETTINGS)
+    made = order_map(frames, settings=ORDERS)
     np.testing.assert_allclose(made["coherent_amplitude"].sel(order=1.0).values[0], 1.0, atol=1e-5)
 
 
@@ -126,12 +124,12 @@ def test_amplitudes_from_1e_minus_300_to_1e300_survive_map_and_tracks():
     for scale in (1e-300, 1e300):
         scaled = plain.copy(deep=True)
         scaled["spectrum"].values[:] *= scale
-        one, other = order_map([plain], settings=SETTINGS), order_map([scaled], settings=SETTINGS)
+        one, other = order_map([plain], settings=ORDERS), order_map([scaled], settings=ORDERS)
         for name in ("amplitude", "coherent_amplitude", "standard_error", "coherent_amplitude_low"):
             np.testing.assert_allclose(other[name].values / scale, one[name].values, rtol=1e-9)
         np.testing.assert_allclose(other["phase"].values, one["phase"].values, atol=1e-9)
         np.testing.assert_allclose(other["spectral_kurtosis"].values, one["spectral_kurtosis"].values, rtol=1e-9)
-        tracks = [order_tracks(item, [2.0, 3.13], settings=SETTINGS) for item in (one, other)]
+        tracks = [order_tracks(item, [2.0, 3.13], settings=ORDERS) for item in (one, other)]
         for name in ("amplitude", "amplitude_high", "standard_error", "band_rms"):
             np.testing.assert_allclose(tracks[1][name].values / scale, tracks[0][name].values, rtol=1e-9)
 
@@ -140,7 +138,7 @@ def test_frames_in_a_gap_of_one_channel_are_left_out_and_counted():
     whole = frames_of(*(total(line(2.0, 1.0), noise(k, 0.1)) for k in range(2)))
     gappy = whole.copy(deep=True)
     gappy["spectrum"].values[1, [3, 4, 9]] = np.nan
-    made, full = order_map([gappy], settings=SETTINGS), order_map([whole], settings=SETTINGS)
+    made, full = order_map([gappy], settings=ORDERS), order_map([whole], settings=ORDERS)
     frames = whole.sizes["frame"]
     assert made["frames_used"].values.tolist() == [[frames], [frames - 3]]
     assert made["n_frames"].values.tolist() == [frames - 3]
@@ -153,8 +151,8 @@ def test_frames_in_a_gap_of_one_channel_are_left_out_and_counted():
 
 def test_the_interval_of_a_track_between_two_bins_holds_the_truth():
     signals = [total(line(6.13, 0.8), noise(k, 0.5)) for k in range(26)]  # a line that slips, 26 draws as channels
-    made = order_map([frames_of(*signals, duration_s=20.0)], settings=SETTINGS)
-    track = order_tracks(made, [6.13], settings=SETTINGS).isel(order=0, speed=0)
+    made = order_map([frames_of(*signals, duration_s=20.0)], settings=ORDERS)
+    track = order_tracks(made, [6.13], settings=ORDERS).isel(order=0, speed=0)
     hits = (track["amplitude_low"] <= 0.8) & (track["amplitude_high"] >= 0.8)
     assert hits.mean() > 0.95 - 4 * np.sqrt(0.05 * 0.95 / 26)
     assert (track["amplitude_high"] - track["amplitude_low"]).mean() < 6 * np.std(track["amplitude"])
@@ -176,7 +174,7 @@ def mapped(course, phase=lambda share: 0.3):
     share = np.linspace(0.0, 1.0, noise.shape[1])
     angle = np.arange(noise.shape[1]) / SAMPLES_PER_REV
     signal = noise + course(share) * np.cos(2 * np.pi * 2.0 * angle + phase(share))
-    return order_map([angle_frames(signal)], settings=SETTINGS).sel(order=2.0).isel(speed=0)
+    return order_map([angle_frames(signal)], settings=ORDERS).sel(order=2.0).isel(speed=0)
 
 
 @pytest.mark.parametrize("name", COURSES)
@@ -221,7 +219,7 @@ def test_the_lower_end_leaves_zero_where_the_line_is_seen_and_grows_without_a_st
 
 
 def frames_from(recording, **changes):
-    return order_frames(*recording, settings=SETTINGS.model_copy(update=changes))
+    return order_frames(*recording, settings=ORDERS.model_copy(update=changes))
 
 
 PARTS = [(0.5, 1.2, -2.0), (2.0, 0.3, 1.0), (5.5, 2.9, 0.4), (11.0, 0.7, 3.0), (14.5, 1.8, -0.7)]
@@ -259,7 +257,7 @@ def test_a_fast_run_up_beside_steady_recordings_loses_no_recording():
     used, flags = common_frames([steady_one, swept])
     assert [item.attrs["revs_per_frame"] for item in used] == [length, length]
     assert [flag["flag"] for flag in flags] == ["frames_cut"]
-    made = order_map([steady_one, swept], settings=SETTINGS)
+    made = order_map([steady_one, swept], settings=ORDERS)
     assert not [flag for flag in flags_of(made) if flag["severity"] == "bad"]
     at = np.abs(made["speed"].values - float(steady_one["speed"].values[0])).argmin()
     assert made["n_frames"].values[at] > 10
@@ -298,7 +296,7 @@ def held(rng, rpm, amplitude, phase=0.3, *, order=2.0, frames=20, **attrs):
 
 
 def rows(*recordings):
-    return [round(float(rpm)) for rpm in order_map(list(recordings), settings=SETTINGS)["speed"].values]
+    return [round(float(rpm)) for rpm in order_map(list(recordings), settings=ORDERS)["speed"].values]
 
 
 def test_speeds_20_rpm_apart_share_a_row_where_all_agrees_and_else_have_their_own():
@@ -340,5 +338,5 @@ def test_a_run_up_keeps_its_bins_though_a_line_grows_in_them():
     noise = 0.01 * coloured(np.random.default_rng(7), 1, revs=8 * (frames + 1), colour="white")
     grown = np.linspace(1.0, 9.0, noise.shape[1]) * lines(noise.shape[1], [(2.0, 1.0, 0.3)])
     speed = np.linspace(900.0, 1900.0, frames)
-    made = order_map([angle_frames(noise + grown, speed=speed)], settings=SETTINGS)
+    made = order_map([angle_frames(noise + grown, speed=speed)], settings=ORDERS)
     assert made.sizes["speed"] == len(speed_groups(speed, width_rpm=25.0))

@@ -7,10 +7,9 @@ from crankorder.errors import RequestError
 from crankorder.orders.frames import order_frames
 from crankorder.orders.shapes import coherence_level, expected_coherence, operating_shapes
 from crankorder.quantities import check_dataset
-from crankorder.settings import load_settings
 from made.recordings import frames_of, line, steady
+from made.shipped import ORDERS
 
-SETTINGS = load_settings().orders
 PHASORS = np.array([2.0 * np.exp(0.4j), 0.5 * np.exp(-2.9j), 1.0 * np.exp(1.7j)])
 
 
@@ -19,7 +18,7 @@ def circular(rng, *shape):
 
 
 def shapes_of(spectrum, orders=(1.0,), reference=None, **options):
-    return operating_shapes([frames_of(spectrum, **options)], orders, settings=SETTINGS, reference=reference)
+    return operating_shapes([frames_of(spectrum, **options)], orders, settings=ORDERS, reference=reference)
 
 
 def steady_frames(n_frames=8, n_orders=9):
@@ -47,8 +46,8 @@ def test_a_steady_line_has_its_amplitude_its_phase_and_no_interval():
 )
 def test_recordings_of_lines_give_the_shape_that_was_put_in(order, reference, share, degrees):
     signals = [line(order, abs(c), float(np.angle(c))) for c in PHASORS]
-    frames = order_frames(*steady(signals, speed_rpm=1200.0, duration_s=20.0, rate_hz=2000.0), settings=SETTINGS)
-    made = operating_shapes([frames], [order], settings=SETTINGS, reference=reference)
+    frames = order_frames(*steady(signals, speed_rpm=1200.0, duration_s=20.0, rate_hz=2000.0), settings=ORDERS)
+    made = operating_shapes([frames], [order], settings=ORDERS, reference=reference)
     np.testing.assert_allclose(made["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=share)
     origin = {None: 1.0, "A": PHASORS[0], "C": PHASORS[2]}[reference]
     off = degrees_apart(made["phase"].values[:, 0, 0], np.degrees(np.angle(PHASORS / origin)))
@@ -77,7 +76,7 @@ def test_where_the_crank_gives_no_phase_the_strongest_channel_does_and_it_is_sai
 
 def test_recordings_with_different_marks_are_compared_by_channel_not_by_crank():
     one, two = frames_of(steady_frames()), frames_of(steady_frames() * np.exp(2.0j), phase_reference="index")
-    made = operating_shapes([one, two], [1.0], settings=SETTINGS)
+    made = operating_shapes([one, two], [1.0], settings=ORDERS)
     assert made["phase_from"].item() == "A"
     np.testing.assert_allclose(made["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=1e-12)
 

@@ -11,12 +11,11 @@ from crankorder.orders.map import order_map
 from crankorder.orders.swept_tracks import followed_tracks, swept_tracks
 from crankorder.orders.track_rows import order_tracks
 from crankorder.orders.vold_kalman import impulse_response, taken_in_truth
-from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
 from made.recordings import sampled
+from made.shipped import SETTINGS
 
 RATE_HZ = 25_600.0
-SETTINGS = load_settings()
 COURSES = {
     "run-up": ("360", (0, 20.0), (900, 2700)),
     "slow run-up": ("60 quantised", (0, 30.0), (1500, 1560)),

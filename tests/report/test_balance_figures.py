@@ -50,9 +50,11 @@ def task5():
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("name", CRANK_ENGINES)
 @pytest.mark.parametrize("draw", PICTURES)
-def test_no_text_lies_on_another_for_any_engine(name, draw, settings):
-    figure = draw(_dataset(load_balanced_engine(name)), title=name, settings=settings)
-    assert overlaps(figure) == []
+def test_no_text_lies_on_another_and_no_two_systems_have_one_colour_for_any_engine(name, draw, settings):
+    made = _dataset(load_balanced_engine(name))
+    assert overlaps(draw(made, title=name, settings=settings)) == []
+    systems = made["system"].values
+    assert len({pictures.system_color(str(system)) for system in systems}) == len(systems)
 
 
 @pytest.mark.cases(1)
@@ -199,13 +201,6 @@ def test_bars_are_the_amplitudes_of_the_sheet(task5, settings):
     slope = (along[-1] - along[0]) / (newtons[0] - newtons[-1])
     expected = along[-1] + slope * (newtons - newtons[0])
     assert all(np.abs(expected - top).min() < 1e-6 for top in (*along, *across))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CRANK_ENGINES)
-def test_no_two_systems_of_an_engine_have_one_colour(name):
-    names = _dataset(load_balanced_engine(name))["system"].values
-    assert len({pictures.system_color(str(system)) for system in names}) == len(names)
 
 
 @pytest.mark.slow

@@ -11,14 +11,13 @@ from crankorder.orders.shapes import operating_shapes
 from crankorder.plot.cycle_figure import cycle_figure, shapes_figure
 from crankorder.plot.drawing import Area
 from crankorder.plot.painter import picture_bytes
-from crankorder.settings import load_settings
 from made.recordings import frames_of, line, steady, total
+from made.shipped import ORDERS
 from made.typed import from_dicts
 from report.conftest import overlaps, texts
 
 cycle_figure = from_dicts(cycle_figure)
 
-ORDERS = load_settings().orders
 HOSTILE = "Ba$$in <script>alert(1)</script>"
 
 

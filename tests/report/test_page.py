@@ -131,7 +131,6 @@ def test_what_may_be_absent_or_unknown_breaks_neither_page_nor_headline(key, ful
 def test_free_and_open_bands_stand_in_one_table_by_speed_each_with_its_reason(full):
     (avoid,) = (one for anchor, one in tables_of(full, limit=60) if anchor == "avoid")
     beside = avoid.beside
-    assert beside is not None
     verdicts = [(row[0], row[2]) for row in beside.rows]
     assert verdicts == [("300–1690", "free"), ("1690–1850", "not free, or not known"), ("1850–2000", "free")]
     assert [row[1] for row in beside.rows] == ["1390", "160", "150"]

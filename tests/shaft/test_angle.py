@@ -9,20 +9,18 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.quantities import flags_of
-from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots, time_at
 from crankorder.shaft.pattern import pattern_of
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.uneven_wheel import wheel_of
 from crankorder.shaft.wheel import number_teeth
-from made.recordings import manifest, write_hdf5
-
-SETTINGS = load_settings().shaft
+from made.recordings import write_hdf5, write_manifest
+from made.shipped import SETTINGS, SHAFT
 
 
 def knots_of(time_s, *, teeth_per_rev=360, noise_s=None, tooth=None):
     tooth = np.arange(time_s.size) if tooth is None else tooth
-    return angle_knots(time_s, tooth, teeth_per_rev=teeth_per_rev, noise_s=noise_s, settings=SETTINGS)
+    return angle_knots(time_s, tooth, teeth_per_rev=teeth_per_rev, noise_s=noise_s, settings=SHAFT)
 
 
 def columns(knots):
@@ -37,7 +35,7 @@ def from_square(shaft, pulses_per_rev=360):
     """Knots and the error of the angle [rev] from the sampled square wave of a shaft, the zero of the count aside."""
     found = find_pulses(
         shaft.square(pulses_per_rev), rate_hz=shaft.rate_hz, kind="square", edge="rising",
-        pulses_per_rev=pulses_per_rev, settings=SETTINGS,
+        pulses_per_rev=pulses_per_rev, settings=SHAFT,
     )  # fmt: skip
     knots = knots_of(found.time_s, teeth_per_rev=pulses_per_rev, noise_s=found.noise_s)
     error = evaluated(knots, shaft.time_s) - shaft.angle_rev()
@@ -173,9 +171,9 @@ def knots_and_error(name, noise_s, at):
     exact, place = pulses_of(name)
     pulse_s = exact + noise_s * np.random.default_rng(3).standard_normal(exact.size)
     angles = pattern_of(name).angles_deg
-    teeth = number_teeth(pulse_s, wheel_of(1, tooth_angles_deg=angles), settings=SETTINGS)
+    teeth = number_teeth(pulse_s, wheel_of(1, tooth_angles_deg=angles), settings=SHAFT)
     knots = angle_knots(
-        teeth.time_s, teeth.tooth, teeth_per_rev=teeth.teeth_per_rev, noise_s=max(noise_s, 1e-9), settings=SETTINGS
+        teeth.time_s, teeth.tooth, teeth_per_rev=teeth.teeth_per_rev, noise_s=max(noise_s, 1e-9), settings=SHAFT
     )
     turned = pattern_of(name).repeats
     error = angle_at(at, knots.time_s, knots.angle_rev, knots.speed_rpm) - swinging_angle(at)
@@ -198,23 +196,18 @@ def test_between_the_teeth_of_any_wheel_the_angle_is_as_good_as_a_spline_and_its
 # A shaft that turns backwards is told by the second track of its encoder, and by nothing else.
 
 
-SETTINGS_DIRECTION = load_settings()
 RATE_HZ, LINES = 20_000.0, 60
 ENCODER = {"kind": "square", "source": "a", "second_track": "b", "pulses_per_rev": 60}
 
 
 def flags(folder, turns, *, edge="rising", second=None):
     """Flags on the direction of a shaft at ``turns`` (sample,), A leading B by a quarter of a line forwards."""
-    folder.mkdir(exist_ok=True)
-    text = manifest("*.h5", channels={"Z": {"source": "z"}}, encoder=ENCODER | {"edge": edge})
-    (folder / "run.toml").write_text(text, encoding="utf-8")
+    write_manifest(folder, "*.h5", channels={"Z": {"source": "z"}}, encoder=ENCODER | {"edge": edge})
     first, behind = (((turns * LINES - late) % 1.0 < 0.5).astype(np.float32) for late in (0.0, 0.25))
     noise = np.random.default_rng(1).standard_normal(turns.size)
     columns = {"z": noise, "a": first, "b": behind if second is None else second}
     write_hdf5(folder / "a.h5", columns, rate_hz=RATE_HZ)
-    read = read_recording(
-        folder / "a.h5", load_manifest(folder), settings=SETTINGS_DIRECTION.ingest, shaft=SETTINGS_DIRECTION.shaft
-    )
+    read = read_recording(folder / "a.h5", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)
     return {one["flag"]: one["detail"] for one in flags_of(read) if "direction" in one["flag"] or "back" in one["flag"]}
 
 
@@ -240,8 +233,7 @@ def test_d8_a_dead_second_track_says_nothing(tmp_path):
 
 
 def test_a_second_track_goes_with_a_sampled_one(tmp_path):
-    text = manifest(channels={"Z": {"source": "z"}}, encoder=ENCODER | {"kind": "pulse_times"})
-    (tmp_path / "run.toml").write_text(text, encoding="utf-8")
+    write_manifest(tmp_path, channels={"Z": {"source": "z"}}, encoder=ENCODER | {"kind": "pulse_times"})
     with pytest.raises(Exception, match="a second track is a sampled trace"):
         load_manifest(tmp_path)
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_knots, knots_of, time_at
 from crankorder.shaft.audit import (
     Modulation,
@@ -17,17 +16,15 @@ from crankorder.shaft.audit import (
 )
 from crankorder.shaft.decode import shaft_angle
 from crankorder.synth.motion import Motion
+from made.shipped import SHAFT
 
-SETTINGS = load_settings().shaft
 RATE_HZ, REVS, POINTS = 50_000.0, 16, 512
 ORDERS = (1.0, 5.5, 10.0, 40.0)
 
 
 def decoded(pulse_s, pulses_per_rev, *, noise_s, edge_step_s=0.0):
     """ShaftAngle of pulses that are complete, with what the audit asks of its attributes."""
-    knots = angle_knots(
-        pulse_s, np.arange(pulse_s.size), teeth_per_rev=pulses_per_rev, noise_s=noise_s, settings=SETTINGS
-    )
+    knots = angle_knots(pulse_s, np.arange(pulse_s.size), teeth_per_rev=pulses_per_rev, noise_s=noise_s, settings=SHAFT)
     columns = (knots.time_s, knots.angle_rev, knots.speed_rpm, knots.standard_error_rev)
     values = zip(("time", "crank_angle", "speed", "standard_error"), columns, ("s", "rev", "min-1", "rev"), strict=True)
     attrs = {
@@ -61,7 +58,7 @@ def achieved(shaft_dataset, true, pulses_per_rev):
 
 
 def audit_of(shaft_dataset):
-    return reference_audit(shaft_dataset, orders=ORDERS, revs_per_frame=REVS, settings=SETTINGS)
+    return reference_audit(shaft_dataset, orders=ORDERS, revs_per_frame=REVS, settings=SHAFT)
 
 
 def expected_of(*causes):
@@ -145,7 +142,7 @@ def test_one_pulse_per_revolution_carries_few_orders_and_says_so(known_shaft):
     assert "if 1 % of the speed swings at order 1" in detail
     # 1 - J0(40 · 1 % / 1) = (40 · 1 %)² / 4
     assert "no motion at order 1 and above shows, 1 % of which would cost order 40 4 %" in detail
-    below = reference_audit(dataset, orders=(1.0, 5.5), revs_per_frame=REVS, settings=SETTINGS)
+    below = reference_audit(dataset, orders=(1.0, 5.5), revs_per_frame=REVS, settings=SHAFT)
     assert below.remarks == ()
 
 
@@ -155,7 +152,7 @@ def test_an_angle_without_an_error_of_its_own_is_not_vouched_for(recording_of):
         ({"encoder_kind": "none", "domain": "crank_angle", "samples_per_rev": 360, "speed_rpm": 900.0}, []),
     ]
     for attrs, flags in rows:
-        dataset = shaft_angle(recording_of(None, **attrs), settings=SETTINGS)
+        dataset = shaft_angle(recording_of(None, **attrs), settings=SHAFT)
         audit = audit_of(dataset)
         assert np.isnan(audit.highest_carried_order)
         assert [flag for flag, _, _ in audit.remarks] == flags

@@ -20,8 +20,8 @@ from crankorder.shaft.wheel import number_teeth
 from crankorder.synth.lines import lag_by_order
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import SpeedOrder
+from made.shipped import SHAFT
 
-SETTINGS = load_settings().shaft
 WHEELS = [*known_names(), "60-2", "36-1", "36-2", "24-2", "12-3", "4-1"]
 UNIQUE = [name for name in WHEELS if pattern_of(name).repeats == 1]
 REPAIRS = {"encoder_missing_pulse", "encoder_double_pulse", "encoder_glitch", "encoder_damaged_line", "encoder_slip"}
@@ -54,7 +54,7 @@ def passed(angles_deg, time_s, angle):
 
 def numbered(name, pulse_s, **options):
     angles = pattern_of(name).angles_deg if isinstance(name, str) else name
-    return number_teeth(pulse_s, wheel_of(1, tooth_angles_deg=angles), settings=SETTINGS, **options)
+    return number_teeth(pulse_s, wheel_of(1, tooth_angles_deg=angles), settings=SHAFT, **options)
 
 
 def assert_true_angles(teeth, true_time_s, true_rev, repeats=1, atol=1e-9):
@@ -92,9 +92,9 @@ def test_a_wheel_that_repeats_takes_its_phase_from_the_index(recording_of):
     pulse_s, true_rev = pulses_of("miata-nb")
     index_s = np.interp(np.arange(1.0, true_rev[-1]), true_rev, pulse_s)
     angles = list(pattern_of("miata-nb").angles_deg)
-    alone = shaft_angle(recording_of(pulse_s, tooth_angles_deg=angles), settings=SETTINGS)
+    alone = shaft_angle(recording_of(pulse_s, tooth_angles_deg=angles), settings=SHAFT)
     assert alone.attrs["phase_reference"] == "none"
-    both = shaft_angle(recording_of(pulse_s, tooth_angles_deg=angles, index_time_s=index_s), settings=SETTINGS)
+    both = shaft_angle(recording_of(pulse_s, tooth_angles_deg=angles, index_time_s=index_s), settings=SHAFT)
     assert both.attrs["phase_reference"] == "index"
     reached = angle_at(index_s[1:-1], **knots_of(both))
     np.testing.assert_allclose(reached, np.round(reached), atol=2e-3)
@@ -113,7 +113,6 @@ def test_another_wheel_is_refused_and_named():
 def test_every_wheel_is_found_by_itself(name):
     pulse_s, _ = pulses_of(name, start_rpm=300.0, end_rpm=3600.0)
     found = find_pattern(pulse_s)
-    assert found is not None
     once = {"44-2-2": "22-2", "66-2-2-2": "22-2"}  # as they look where nothing tells a revolution
     assert found.pattern.name == once.get(name, name)
     assert found.agreement == 1.0
@@ -122,7 +121,6 @@ def test_every_wheel_is_found_by_itself(name):
 def test_a_wheel_with_faults_is_found_with_less_confidence():
     pulse_s, _ = pulses_of("60-2", irregularity=0.02)
     found = find_pattern(np.delete(pulse_s, np.arange(100, pulse_s.size, 400)))
-    assert found is not None
     assert found.pattern.name == "60-2"
     assert 0.6 < found.agreement < 0.95
 
@@ -131,7 +129,6 @@ def test_an_index_tells_how_often_a_wheel_repeats():
     pulse_s, true_rev = pulses_of("44-2-2")
     index_s = np.interp(np.arange(1.0, true_rev[-1]), true_rev, pulse_s)
     found = find_pattern(pulse_s, index_time_s=index_s)
-    assert found is not None
     np.testing.assert_allclose(found.pattern.angles_deg, pattern_of("44-2-2").angles_deg)
 
 
@@ -141,19 +138,18 @@ def test_even_teeth_are_counted_by_the_index_and_not_told_without(recording_of):
         assert find_pattern(pulse_s) is None
         index_s = np.interp(np.arange(1.0, true_rev[-1]) + 0.3 / teeth, true_rev, pulse_s)
         found = find_pattern(pulse_s, index_time_s=index_s)
-        assert found is not None
         assert found.pattern.even == (teeth, 0)
         unstated = recording_of(pulse_s)
         del unstated.attrs["pulses_per_rev"], unstated.attrs["missing_teeth"]
         with pytest.raises(InputError, match="nothing states the pulses per revolution"):
-            shaft_angle(unstated, settings=SETTINGS)
+            shaft_angle(unstated, settings=SHAFT)
 
 
 def test_a_recording_that_states_no_wheel_is_decoded_by_the_one_found_and_says_so(recording_of):
     pulse_s, true_rev = pulses_of("36-2-1")
     unstated = recording_of(pulse_s, pulse_noise_s=1e-8)
     del unstated.attrs["pulses_per_rev"], unstated.attrs["missing_teeth"]
-    angle = shaft_angle(unstated, settings=SETTINGS)
+    angle = shaft_angle(unstated, settings=SHAFT)
     (flag,) = [flag for flag in flags_of(angle) if flag["flag"] == "encoder_pattern_found"]
     assert flag["severity"] == "suspect"
     assert "36-2-1 (33 pulses), seen in 100% of" in flag["detail"]
@@ -205,7 +201,7 @@ def test_a_kick_back_after_a_stop_takes_no_part(recording_of):
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))))
     crossed = np.flatnonzero(np.diff(np.floor(angle * 60)) != 0)
     pulse_s = time_s[crossed]
-    shaft = shaft_angle(recording_of(pulse_s, pulses_per_rev=60, pulse_noise_s=1e-6), settings=SETTINGS)
+    shaft = shaft_angle(recording_of(pulse_s, pulses_per_rev=60, pulse_noise_s=1e-6), settings=SHAFT)
     flags = {flag["flag"]: flag["detail"] for flag in flags_of(shaft)}
     assert "direction_unknown" in flags
     assert flags["standstill"].count("from") == 1
@@ -217,7 +213,7 @@ def test_a_kick_back_after_a_stop_takes_no_part(recording_of):
 def test_pulses_lost_for_long_at_steady_speed_are_filled_in_and_no_standstill():
     pulse_s, true_rev = pulses_of("360", irregularity=0.0)
     few = np.delete(pulse_s, np.arange(5000, 5200))
-    teeth = number_teeth(few, wheel_of(360), settings=SETTINGS)
+    teeth = number_teeth(few, wheel_of(360), settings=SHAFT)
     assert "standstill" not in {flag for flag, _, _ in teeth.flags}
     assert teeth.n_repaired == 200
     true = np.round(360 * np.interp(teeth.time_s, pulse_s, true_rev)).astype(int)
@@ -227,7 +223,7 @@ def test_pulses_lost_for_long_at_steady_speed_are_filled_in_and_no_standstill():
 def test_a_hole_at_changing_speed_splits_the_train_and_says_so():
     pulse_s, _ = pulses_of("60", start_rpm=600.0, end_rpm=3000.0)
     hole = pulse_s[(pulse_s < 1.0) | (pulse_s > 1.6)]
-    teeth = number_teeth(hole, wheel_of(60), settings=SETTINGS)
+    teeth = number_teeth(hole, wheel_of(60), settings=SHAFT)
     told = {flag: detail for flag, _, detail in teeth.flags}
     assert "no pulses from 0.9" in told["encoder_gap"]
     assert "encoder_part_unused" in told
@@ -292,11 +288,11 @@ def drawn(wheel, share, seed):
 
 
 def found_in(times, wheel, *, revs_per_cycle=1):
-    teeth = number_teeth(times, wheel_of(*wheel), settings=SETTINGS)
-    return tooth_errors(teeth, ratio=1.0, revs_per_cycle=revs_per_cycle, noise_s=0.0, settings=SETTINGS)
+    teeth = number_teeth(times, wheel_of(*wheel), settings=SHAFT)
+    return tooth_errors(teeth, ratio=1.0, revs_per_cycle=revs_per_cycle, noise_s=0.0, settings=SHAFT)
 
 
-def decoded(recording_of, times, wheel, by=SETTINGS):
+def decoded(recording_of, times, wheel, by=SHAFT):
     given = {"pulses_per_rev": wheel[0], "missing_teeth": wheel[1], "revs_per_cycle": 1}
     return shaft_angle(recording_of(times, **given), settings=by)
 
@@ -338,7 +334,6 @@ def test_a_wheel_is_known_again_and_another_is_not():
     wheel, stated = (60, 2), []
     for seed, rpm in ((1, 800.0), (1, 1900.0), (2, 1900.0)):
         errors = found_in(pulse_times(wheel, drawn(wheel, 0.1, seed), rpm=rpm), wheel)
-        assert errors is not None
         stated.append(stated_teeth(errors, ratio=1.0, tdc_rev=0.0))
     assert same_wheel(stated[:2])
     assert not same_wheel(stated)
@@ -349,7 +344,7 @@ def test_small_errors_of_teeth_are_learned_where_the_encoder_is_in_doubt(recordi
     times = pulse_times(wheel, drawn(wheel, 0.004, 5))
     doubting = load_settings("calibrated-encoder").shaft
     error = {}
-    for name, by in (("default", SETTINGS), ("doubting", doubting)):
+    for name, by in (("default", SHAFT), ("doubting", doubting)):
         shaft = decoded(recording_of, times, wheel, by)
         error[name] = np.std(shaft["crank_angle"].values - shaft["time"].values * 1000.0 / 60.0)
     assert error["doubting"] < 0.6 * error["default"]

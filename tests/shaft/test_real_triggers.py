@@ -14,14 +14,12 @@ from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.quantities import flags_of
-from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of, time_at
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pattern import pattern_of
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.uneven_wheel import find_pattern
-
-SETTINGS = load_settings().shaft
+from made.shipped import SETTINGS, SHAFT
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +48,7 @@ def decoded(recording_of, times, cam=None, **attrs):
     made = recording_of(times, encoder_kind="edge_list", revs_per_cycle=2, **attrs)
     if cam is not None:
         made["cam_time"] = ("cycle", cam, {"units": "s"})
-    return shaft_angle(made, settings=SETTINGS)
+    return shaft_angle(made, settings=SHAFT)
 
 
 def mean_rpm(angle, until_s, revs):
@@ -81,7 +79,6 @@ def test_real_wheels_are_found_by_themselves(trace):
     ]  # fmt: skip
     for name, edge, wheel in rows:
         found = find_pattern(edge_times(trace(name), 1, edge))
-        assert found is not None
         assert found.pattern.name == wheel
         assert found.agreement > 0.9
 
@@ -98,14 +95,14 @@ def test_real_wheels_are_found_by_themselves(trace):
 )  # fmt: skip
 def test_every_trace_reads_by_its_manifest(shared_data, manifest, speeds_rpm, reference, cycle_known):
     """Mean speed of the last crank revolution; the stated figures of shorter spans are checked above."""
-    limits, folder = load_settings(), shared_data / "crank_triggers"
+    folder = shared_data / "crank_triggers"
     stated = load_manifest(folder, Path(__file__).parents[1] / "real" / f"{manifest}.toml")
     found = recordings_of(folder, stated)
     assert not found.faults
     assert len(found.paths) == len(speeds_rpm)
     for path, speed_rpm in zip(found.paths, speeds_rpm, strict=True):
-        recording = read_recording(path, stated, settings=limits.ingest, shaft=limits.shaft)
-        angle = shaft_angle(recording, settings=limits.shaft)
+        recording = read_recording(path, stated, settings=SETTINGS.ingest, shaft=SHAFT)
+        angle = shaft_angle(recording, settings=SHAFT)
         until_s = recording["pulse_time"].values[-1] + recording.attrs.get("start_s", 0.0)
         assert mean_rpm(angle, until_s, 1.0) == pytest.approx(speed_rpm, rel=0.01)
         assert (angle.attrs["phase_reference"], angle.attrs["cycle_known"]) == (reference, cycle_known)
@@ -119,9 +116,9 @@ def test_every_rotor_coast_down_gives_a_smoothly_falling_speed(shared_data, reco
     assert len(paths) == 60
     for path in paths[::4]:
         infrared = pd.read_csv(path, comment="#")["ir"].to_numpy()
-        found = find_pulses(infrared, rate_hz=952.0, kind="square", edge="rising", pulses_per_rev=1, settings=SETTINGS)
+        found = find_pulses(infrared, rate_hz=952.0, kind="square", edge="rising", pulses_per_rev=1, settings=SHAFT)
         recording = recording_of(found.time_s, pulses_per_rev=1, pulse_noise_s=found.noise_s, rate_hz=952.0)
-        angle = shaft_angle(recording, settings=SETTINGS)
+        angle = shaft_angle(recording, settings=SHAFT)
         inside = slice(2, -2)
         speed = angle["speed"].values[inside]
         interval_rpm = 60.0 / np.diff(found.time_s)

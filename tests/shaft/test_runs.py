@@ -12,7 +12,7 @@ from crankorder.shaft.angle import angle_at, angle_knots
 from crankorder.shaft.decode import ShaftRun, joined, shaft_angle
 from crankorder.shaft.repair import running_parts, silent_ends
 from made.command import analysed
-from made.recordings import manifest, write_hdf5
+from made.recordings import write_hdf5, write_manifest
 
 
 def test_the_angle_goes_on_rightly_after_a_standstill():
@@ -63,7 +63,6 @@ def course(*legs):
 
 def written(folder, kind, speed, angle):
     """A folder with 2 and 1 of orders 1 and 4 while the shaft turns, noise, and a shaft told by ``kind``."""
-    folder.mkdir()
     turns = 2.0 * np.cos(2 * np.pi * angle) + np.cos(8 * np.pi * angle)
     random = np.random.default_rng(1)
     encoder = {"speed": {"source": "speed"}, "pulse_times": {"source": "pulses", "pulses_per_rev": 60}}[kind]
@@ -74,9 +73,8 @@ def written(folder, kind, speed, angle):
         "speed": speed + 0.5 * random.standard_normal(speed.size),
         "pulses": np.interp(tooth, angle[rising], rising / RATE_HZ),
     }
+    write_manifest(folder, "*.h5", name="t", channels={"A": {"source": "a"}}, encoder=encoder | {"kind": kind})
     write_hdf5(folder / "a.h5", columns, unit={"speed": "rpm"}, rate_hz=RATE_HZ)
-    text = manifest("*.h5", name="t", channels={"A": {"source": "a"}}, encoder=encoder | {"kind": kind})
-    (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from crankorder.errors import InputError
-from crankorder.settings import load_settings
 from crankorder.shaft.vibration_speed import FOUR_STROKE_WEIGHTS, speed_from_vibration, trusted_angle
+from made.shipped import SHAFT
 
-SETTINGS = load_settings().shaft
 RATE_HZ = 4096.0
 
 
@@ -51,7 +50,7 @@ MOTIONS = {
 
 @cache
 def followed(name):
-    return speed_from_vibration(vibration(MOTIONS[name], 10.0, orders=SOME), RATE_HZ, settings=SETTINGS)
+    return speed_from_vibration(vibration(MOTIONS[name], 10.0, orders=SOME), RATE_HZ, settings=SHAFT)
 
 
 @pytest.mark.parametrize("name", MOTIONS)
@@ -79,14 +78,14 @@ def test_the_angle_is_told_within_a_few_degrees_and_its_standard_error_is_honest
 
 def test_tones_that_hold_still_do_not_attract_a_sweep():
     signal = vibration(MOTIONS["run-up"], 10.0, orders=SOME, tones={50.0: 1.0, 150.0: 0.5, 236.0: 1.0})
-    found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    found = speed_from_vibration(signal, RATE_HZ, settings=SHAFT)
     error = np.abs(found.knots.speed_rpm / speed_rpm(MOTIONS["run-up"], found.knots.time_s) - 1.0)
     assert np.median(error) < 0.005
     assert not ((error > 0.02) & (found.confidence > 0.8)).any()
 
 
 def test_even_orders_alone_are_a_tie_that_half_the_found_speed_explains_too():
-    found = speed_from_vibration(vibration(steady(30.0), 5.0, orders=EVEN), RATE_HZ, settings=SETTINGS)
+    found = speed_from_vibration(vibration(steady(30.0), 5.0, orders=EVEN), RATE_HZ, settings=SHAFT)
     assert np.median(found.knots.speed_rpm) == pytest.approx(3600.0, rel=1e-3)
     assert [tie.ratio for tie in found.ties][:1] == [0.5]
     assert 0.1 < found.ties[0].relative_evidence < 1.0
@@ -101,7 +100,7 @@ def test_what_is_known_of_the_machine_decides_the_tie():
     ]
     for known in rows:
         signal = vibration(steady(30.0), 5.0, orders=EVEN)
-        found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS, **known)  # type: ignore[arg-type]
+        found = speed_from_vibration(signal, RATE_HZ, settings=SHAFT, **known)  # type: ignore[arg-type]
         assert np.median(found.knots.speed_rpm) == pytest.approx(1800.0, rel=1e-3)
         assert 2.0 not in {tie.ratio for tie in found.ties}
 
@@ -109,7 +108,7 @@ def test_what_is_known_of_the_machine_decides_the_tie():
 def test_noise_alone_tells_no_speed():
     seed = 1
     signal = vibration(steady(30.0), 4.0, orders={}, seed=seed)
-    found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    found = speed_from_vibration(signal, RATE_HZ, settings=SHAFT)
     assert np.mean(found.confidence < 0.5) > 0.9
     assert ("speed_doubtful", "bad") in {(flag, severity) for flag, severity, _ in found.remarks}
 
@@ -118,29 +117,29 @@ def test_an_angle_is_refused_where_the_speed_is_a_guess_and_given_where_it_is_no
     ends = []
     for seed in range(4):
         signal = vibration(steady(30.0), 3.0, orders=SOME, seed=seed)
-        ends.append(trusted_angle(speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)).angle_rev[-1])
+        ends.append(trusted_angle(speed_from_vibration(signal, RATE_HZ, settings=SHAFT)).angle_rev[-1])
     # 0.043 rev, measured: the first and the last tenth of a second have neighbours on one side only
     assert np.sqrt(np.mean((np.array(ends) - 90.0) ** 2)) < 0.05
     signal = vibration(steady(30.0), 3.0, orders={})
-    guess = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    guess = speed_from_vibration(signal, RATE_HZ, settings=SHAFT)
     with pytest.raises(InputError, match="does not tell the speed"):
         trusted_angle(guess)
 
 
 def test_units_do_not_matter_and_the_same_input_gives_the_same_bytes():
     signal = np.concatenate([vibration(steady(30.0), 3.0, orders=SOME, seed=seed) for seed in (1, 2)])
-    first = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
-    again = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+    first = speed_from_vibration(signal, RATE_HZ, settings=SHAFT)
+    again = speed_from_vibration(signal, RATE_HZ, settings=SHAFT)
     assert first.knots.speed_rpm.tobytes() == again.knots.speed_rpm.tobytes()
     assert first.knots.angle_rev.tobytes() == again.knots.angle_rev.tobytes()
-    scaled = speed_from_vibration(signal * np.array([[1024.0], [1 / 64]]), RATE_HZ, settings=SETTINGS)
+    scaled = speed_from_vibration(signal * np.array([[1024.0], [1 / 64]]), RATE_HZ, settings=SHAFT)
     np.testing.assert_allclose(scaled.knots.speed_rpm, first.knots.speed_rpm, rtol=1e-6)
 
 
 def test_a_dead_channel_changes_nothing():
     signal = vibration(steady(30.0), 3.0, orders=SOME)
-    alone = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
-    beside = speed_from_vibration(np.vstack([signal, np.full_like(signal, 3.0)]), RATE_HZ, settings=SETTINGS)
+    alone = speed_from_vibration(signal, RATE_HZ, settings=SHAFT)
+    beside = speed_from_vibration(np.vstack([signal, np.full_like(signal, 3.0)]), RATE_HZ, settings=SHAFT)
     np.testing.assert_array_equal(beside.knots.speed_rpm, alone.knots.speed_rpm)
 
 
@@ -152,13 +151,13 @@ def test_a_signal_that_cannot_tell_a_speed_is_refused():
     ]
     for signal, says in rows:
         with pytest.raises(InputError, match=says):
-            speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
+            speed_from_vibration(signal, RATE_HZ, settings=SHAFT)
 
 
 def test_half_orders_are_those_of_a_four_stroke_engine_and_else_whole_ones_of_half_the_speed():
     sizes = (0.8, 1.0, 0.8, 0.9, 0.6, 0.5, *[0.4] * 6)
     signal = vibration(steady(25.0), 4.0, orders={0.5 * k: size for k, size in enumerate(sizes, 1)})
     for weights, rpm in ((FOUR_STROKE_WEIGHTS, 1500.0), (None, 750.0)):
-        found = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS, order_weights=weights)
+        found = speed_from_vibration(signal, RATE_HZ, settings=SHAFT, order_weights=weights)
         assert np.median(np.abs(found.knots.speed_rpm / rpm - 1.0)) < 1e-3
         assert np.median(found.confidence) > 0.9

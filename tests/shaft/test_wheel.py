@@ -7,25 +7,24 @@ import pytest
 
 from crankorder.errors import InputError
 from crankorder.quantities import check_dataset, flags_of
-from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, integrated_speed, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.uneven_wheel import wheel_of
 from crankorder.shaft.wheel import number_teeth
 from made.recordings import sampled
+from made.shipped import SHAFT
 
-SETTINGS = load_settings().shaft
 TORSION = {2.0: 0.03}
 
 
 def decoded(recording_of, trace, index=None, *, rate_hz=50_000.0, **attrs):
     attrs.setdefault("pulses_per_rev", 360)
-    options = {"rate_hz": rate_hz, "kind": "square", "edge": "rising", "settings": SETTINGS}
+    options = {"rate_hz": rate_hz, "kind": "square", "edge": "rising", "settings": SHAFT}
     pulses = find_pulses(trace, pulses_per_rev=attrs["pulses_per_rev"], **options)
     marks = None if index is None else find_pulses(index, pulses_per_rev=1, **options).time_s
     recording = recording_of(pulses.time_s, index_time_s=marks, pulse_noise_s=pulses.noise_s, **attrs)
-    return shaft_angle(recording, settings=SETTINGS)
+    return shaft_angle(recording, settings=SHAFT)
 
 
 def order_error(estimated_rev, true_rev, order):
@@ -56,7 +55,7 @@ def test_a_clean_train_has_no_repairs_and_its_index_is_angle_zero(known_shaft, r
 
 def test_d1_the_lost_pulse_is_located(known_shaft, recording_of):
     pulse_s = known_shaft(1000.0).pulse_time_s(60)
-    faulty = shaft_angle(recording_of(np.delete(pulse_s, 777), pulses_per_rev=60), settings=SETTINGS)
+    faulty = shaft_angle(recording_of(np.delete(pulse_s, 777), pulses_per_rev=60), settings=SHAFT)
     (when,) = re.findall(r"at ([0-9.]+) s", detail_of(faulty, "encoder_missing_pulse"))
     assert float(when) == pytest.approx(pulse_s[777], abs=1e-4)
 
@@ -99,7 +98,7 @@ def test_an_index_mark_lost_or_extra_is_flagged_and_does_no_harm(known_shaft, re
         *(("index_extra", np.sort(np.append(index_s, at + 1e-5)), at) for at in (pulse_s[1007], index_s[20])),
     ):
         angle = shaft_angle(
-            recording_of(pulse_s, index_time_s=marks, pulses_per_rev=60, pulse_noise_s=1e-7), settings=SETTINGS
+            recording_of(pulse_s, index_time_s=marks, pulses_per_rev=60, pulse_noise_s=1e-7), settings=SHAFT
         )
         assert detail_of(angle, flag).startswith("1 ")
         (when,) = re.findall(r"at ([0-9.]+) s", detail_of(angle, flag))
@@ -120,19 +119,19 @@ def test_too_many_repairs_are_refused(known_shaft):
     pulse_s = known_shaft(1000.0).pulse_time_s(60)
     few = pulse_s[np.random.default_rng(3).random(pulse_s.size) > 0.1]
     with pytest.raises(InputError, match="the count is not certain"):
-        number_teeth(few, wheel_of(60), settings=SETTINGS)
+        number_teeth(few, wheel_of(60), settings=SHAFT)
 
 
 def test_times_that_cannot_be_pulses_are_refused():
     for times in [[0.0, 1.0], [0.0, 2.0, 1.0, 3.0], [0.0, 1.0, np.nan, 3.0], []]:
         with pytest.raises(InputError):
-            number_teeth(np.array(times, dtype=np.float64), wheel_of(1), settings=SETTINGS)
+            number_teeth(np.array(times, dtype=np.float64), wheel_of(1), settings=SHAFT)
 
 
 def test_a_burst_of_interference_is_removed_and_told_from_ringing(known_shaft):
     pulse_s = known_shaft(1000.0).pulse_time_s(60)
     burst = pulse_s[900] + np.array([0.1, 0.3, 0.32, 0.5, 0.7]) * (pulse_s[901] - pulse_s[900])
-    teeth = number_teeth(np.sort(np.append(pulse_s, burst)), wheel_of(60), settings=SETTINGS)
+    teeth = number_teeth(np.sort(np.append(pulse_s, burst)), wheel_of(60), settings=SHAFT)
     np.testing.assert_array_equal(teeth.time_s, pulse_s)
     flags = {flag: detail for flag, _, detail in teeth.flags}
     assert flags["encoder_double_pulse"].startswith("5 false pulses")
@@ -144,7 +143,7 @@ def test_a_count_that_slips_for_good_is_put_right_at_the_index_and_located(known
     pulse_s, index_s = shaft.pulse_time_s(60), shaft.pulse_time_s(1)
     # one pulse too few, and the others spread so that no interval looks wrong: only the index shows it
     spread = np.concatenate([pulse_s[:1500], np.linspace(pulse_s[1500], pulse_s[1512], 12), pulse_s[1513:]])
-    teeth = number_teeth(spread, wheel_of(60), index_time_s=index_s, settings=SETTINGS)
+    teeth = number_teeth(spread, wheel_of(60), index_time_s=index_s, settings=SHAFT)
     detail = {flag: detail for flag, _, detail in teeth.flags}["encoder_slip"]
     assert detail.startswith("pulse count put right at 1 index marks")
     (when,) = re.findall(r"at ([0-9.]+) s", detail)
@@ -166,7 +165,7 @@ def test_an_index_without_a_place_gives_no_phase_and_says_so(known_shaft, record
                     pulse_s, index_time_s=index_s, pulses_per_rev=60, missing_teeth=missing, pulse_noise_s=1e-7,
                     index_to_tdc_deg=10.0,
                 ),
-                settings=SETTINGS,
+                settings=SHAFT,
             )  # fmt: skip
             assert angle.attrs["phase_reference"] == "none"
             assert "no reference" in detail_of(angle, "no_index")
@@ -183,7 +182,7 @@ def _from_rest(rpm_per_s, rev, teeth, rate_hz):
 def test_a_wheel_that_starts_from_rest_is_counted_to_its_first_tooth():
     for rpm_per_s in [150.0, 440.0, 900.0]:
         time_s = _from_rest(rpm_per_s, 20.0, 60, 8192.0)
-        found = number_teeth(time_s, wheel_of(60), settings=SETTINGS)
+        found = number_teeth(time_s, wheel_of(60), settings=SHAFT)
         assert found.n_repaired == 0 and (np.diff(found.tooth) == 1).all()
 
 
@@ -191,7 +190,7 @@ def test_a_jittering_encoder_is_counted_to_its_last_pulse():
     rng = np.random.default_rng(20)
     number = np.arange(200_000)
     time_s = np.sort((number + 0.17 * rng.standard_normal(number.size)) / 18_000.0)
-    teeth = number_teeth(time_s, wheel_of(720), settings=SETTINGS)
+    teeth = number_teeth(time_s, wheel_of(720), settings=SHAFT)
     assert teeth.n_repaired == 0
     assert teeth.tooth[-1] - teeth.tooth[0] == number[-1]
 
@@ -210,7 +209,7 @@ def test_a_pulse_lost_in_the_first_or_last_turn_leaves_every_number_right_and_is
     turn, last = teeth - missing, pulse_s.size - 1
     for lost in sorted({*range(1, turn, 2), *range(turn, last - turn, 7), *range(last - turn, last, 2), 2, last - 1}):
         left_s = np.delete(pulse_s, lost)
-        found = number_teeth(left_s, wheel_of(teeth, missing), settings=SETTINGS)
+        found = number_teeth(left_s, wheel_of(teeth, missing), settings=SHAFT)
         kept = np.searchsorted(left_s, found.time_s)
         assert set((found.tooth - np.delete(true, lost)[kept]) % teeth) == {0}, lost
         assert {"encoder_missing_pulse", "encoder_double_pulse"} & {flag for flag, _, _ in found.flags}, lost
@@ -226,7 +225,7 @@ def test_a_false_pulse_anywhere_and_in_a_gap_is_removed_and_leaves_every_number_
     for before in range(2, pulse_s.size - 3, 5):
         false_s = pulse_s[before] + share * (pulse_s[before + 1] - pulse_s[before])
         train_s = np.sort(np.append(pulse_s, false_s))
-        found = number_teeth(train_s, wheel_of(teeth, missing), settings=SETTINGS)
+        found = number_teeth(train_s, wheel_of(teeth, missing), settings=SHAFT)
         np.testing.assert_array_equal(found.time_s, pulse_s, err_msg=f"after pulse {before}")
         assert len(set((found.tooth - true) % teeth)) == 1, before
         assert missing == 0 or set((found.tooth - true) % teeth) == {0}, before
@@ -239,7 +238,7 @@ def test_a_false_pulse_anywhere_and_in_a_gap_is_removed_and_leaves_every_number_
 
 
 def decode(recording):
-    angle = shaft_angle(recording, settings=SETTINGS)
+    angle = shaft_angle(recording, settings=SHAFT)
     check_dataset(angle, "shaft_angle")
     return angle
 
@@ -306,7 +305,7 @@ def test_a_speed_signal_integrates_to_its_angle(recording_of):
     speed = 900.0 + 200.0 * time_s + 30.0 * np.sin(2 * np.pi * 3.0 * time_s)
     exact = (900.0 * time_s + 100.0 * time_s**2 + 30.0 / (6 * np.pi) * (1 - np.cos(6 * np.pi * time_s))) / 60.0
     quantised = np.round(speed * 8.0) / 8.0
-    knots, flags = integrated_speed(quantised, rate_hz=20_000.0, settings=SETTINGS)
+    knots, flags = integrated_speed(quantised, rate_hz=20_000.0, settings=SHAFT)
     error = angle_at(time_s, knots.time_s, knots.angle_rev, knots.speed_rpm) - exact
     assert np.nanmax(np.abs(error)) < 2e-4
     assert not flags
@@ -316,23 +315,23 @@ def test_a_speed_signal_integrates_to_its_angle(recording_of):
 def test_gaps_in_a_speed_signal_are_bridged_and_flagged():
     speed = np.full(10_000, 1200.0)
     speed[3000:3010] = np.nan
-    knots, flags = integrated_speed(speed, rate_hz=1000.0, settings=SETTINGS)
+    knots, flags = integrated_speed(speed, rate_hz=1000.0, settings=SHAFT)
     assert knots.angle_rev[-1] == pytest.approx(9.999 * 20.0)
     assert flags[0][:2] == ("speed_gap", "suspect")
     for bad in (np.full(100, np.nan), np.zeros(1000)):
         with pytest.raises(InputError):
-            integrated_speed(bad, rate_hz=1000.0, settings=SETTINGS)
+            integrated_speed(bad, rate_hz=1000.0, settings=SHAFT)
 
 
 def test_an_encoder_with_too_few_samples_per_tooth_is_bad_and_says_when():
     time_s = np.arange(30_000) / 6000.0
     revs = (10.0 * time_s + 5.0 * time_s**2) % 1.0  # 600 to 3600 rpm: 60 teeth a revolution reach 3600 teeth a second
     trace = (np.floor(revs * 120) % 2).astype(np.float32)
-    pulses = find_pulses(trace, rate_hz=6000.0, kind="square", edge="rising", pulses_per_rev=60, settings=SETTINGS)
+    pulses = find_pulses(trace, rate_hz=6000.0, kind="square", edge="rising", pulses_per_rev=60, settings=SHAFT)
     attrs = {"encoder_kind": "square", "pulses_per_rev": 60, "pulse_noise_s": pulses.noise_s, "revs_per_cycle": 1}
     recording = sampled(np.zeros((1, 30_000)), rate_hz=6000.0, **attrs)
     recording["pulse_time"] = ("pulse", pulses.time_s, {"units": "s"})
-    flags = flags_of(shaft_angle(recording, settings=SETTINGS))
+    flags = flags_of(shaft_angle(recording, settings=SHAFT))
     assert [flag["flag"] for flag in flags if flag["severity"] == "bad"] == ["encoder_undersampled"]
 
 
@@ -352,7 +351,7 @@ def _stopped(noise_rpm):
 
 def test_the_noise_of_a_shaft_that_stands_does_not_add_up():
     speed, revs = _stopped(5.0)
-    knots, flags = integrated_speed(speed, rate_hz=RATE_HZ, settings=SETTINGS)
+    knots, flags = integrated_speed(speed, rate_hz=RATE_HZ, settings=SHAFT)
     # cut off at 0 it would have added 0.067 rev
     assert abs(knots.angle_rev[-1] - revs) < 0.02
     assert flags == [] and (np.diff(knots.angle_rev) > 0.0).all() and (np.diff(knots.time_s) > 0.0).all()
@@ -361,7 +360,7 @@ def test_the_noise_of_a_shaft_that_stands_does_not_add_up():
 def test_a_shaft_that_turns_back_is_flagged_and_taken_to_stand():
     speed, revs = _stopped(0.5)
     speed[5000:6000] = -100.0
-    knots, flags = integrated_speed(speed, rate_hz=RATE_HZ, settings=SETTINGS)
+    knots, flags = integrated_speed(speed, rate_hz=RATE_HZ, settings=SHAFT)
     assert [name for name, _, _ in flags] == ["speed_negative"]
     assert abs(knots.angle_rev[-1] - revs) < 0.05
 
@@ -390,7 +389,7 @@ def assert_cycles(angle, shaft, pulse_s, late_rev, atol=1e-5):
 def decoded_with_cam(recording_of, pulse_s, cam_s, **attrs):
     made = recording_of(pulse_s, pulses_per_rev=60, revs_per_cycle=2, pulse_noise_s=1e-7, **attrs)
     made["cam_time"] = ("cycle", cam_s, {"units": "s"})
-    return shaft_angle(made, settings=SETTINGS)
+    return shaft_angle(made, settings=SHAFT)
 
 
 def names(angle):
@@ -452,6 +451,6 @@ def test_an_encoder_on_the_camshaft_knows_the_cycle_by_its_own_mark(known_shaft,
     made = recording_of(
         pulse_s, index_time_s=cam_s, pulses_per_rev=120, ratio=0.5, revs_per_cycle=2, pulse_noise_s=1e-7
     )
-    angle = shaft_angle(made, settings=SETTINGS)
+    angle = shaft_angle(made, settings=SHAFT)
     assert angle.attrs["cycle_known"] == 1
     assert_cycles(angle, shaft, pulse_s, CAM_REV, atol=1e-4)

@@ -8,16 +8,7 @@ from scipy.optimize import brentq
 
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
-from crankorder.synth.driven import (
-    STENCILS,
-    ForceLines,
-    Integration,
-    advance,
-    driven_signal,
-    integration_for,
-    interpolation_error,
-    step_weights,
-)
+from crankorder.synth import driven
 from crankorder.synth.motion import Motion
 from crankorder.synth.poles import Poles, Structure, accelerance, poles_of, steady_state
 
@@ -42,7 +33,7 @@ AT_RPM = 1000.0
 def lines(*, gas=False):
     omega = AT_RPM * np.pi / 30
     place, push = (part[:, 0] - 1j * part[:, 1] for part in (PLACES, PUSHES))
-    return ForceLines(
+    return driven.ForceLines(
         order=ORDERS, amplitude=push - (ORDERS * omega) ** 2 * place, at_speed_rpm=np.full(5, AT_RPM),
         exponent=np.array([2.0, 2.0, 2.0, 2.0, 0.0]), inertia=np.array([True, True, True, False, False]),
         gas=np.array([False, False, False, True, True]) & gas, cause=("mass", "mass", "mass", "push", "push"),
@@ -122,7 +113,7 @@ def test_the_response_to_any_motion_is_what_a_precise_integration_gives(name):
 
     expected, sources = integrated(force, times, borders), [(lines(gas=gain is not None), motion)]
     for tolerance, allowed in ((1e-9, 1e-11), (1e-12, 1e-11 if name in ("wobble", "lag") else 1e-12)):
-        found = driven_signal(
+        found = driven.driven_signal(
             POLES, sources, rate_hz=RATE_HZ, n_samples=len(times), tolerance=tolerance, gain_of_cycle=gain
         )
         assert np.abs(found - expected).max() < allowed * np.abs(expected).max()
@@ -132,7 +123,7 @@ def test_the_response_to_any_motion_is_what_a_precise_integration_gives(name):
 def test_at_a_constant_speed_the_response_is_the_accelerance_to_round_off(rpm):
     n_samples, start_rev = 10_000, 0.3
     motion = Motion(start_rev=start_rev, corners=((0.0, rpm),))
-    found = driven_signal(POLES, [(lines(), motion)], rate_hz=RATE_HZ, n_samples=n_samples, tolerance=1e-14)
+    found = driven.driven_signal(POLES, [(lines(), motion)], rate_hz=RATE_HZ, n_samples=n_samples, tolerance=1e-14)
     amplitude = np.einsum("cal,al->cl", accelerance(STRUCTURE, ORDERS * rpm / 60), lines().at_speed(rpm))
     turns = ORDERS[:, None] * (start_rev + rpm / 60 * np.arange(n_samples) / RATE_HZ)
     expected = (amplitude @ np.exp(2j * np.pi * turns)).real
@@ -145,7 +136,7 @@ def test_blocks_leave_no_seam():
         (lines(), Motion(start_rev=0.0, corners=((0.1003, -700.0), (0.2, -710.0)))),
     ]
     whole, *parts = (
-        driven_signal(POLES, shafts, rate_hz=RATE_HZ, n_samples=1600, gain_of_cycle=factor, block_steps=size)
+        driven.driven_signal(POLES, shafts, rate_hz=RATE_HZ, n_samples=1600, gain_of_cycle=factor, block_steps=size)
         for size in (1 << 20, 37, 1000)
     )
     for part in parts:
@@ -160,7 +151,7 @@ STEP_RATE_HZ = 8192.0
 
 def tone_error(pole_per_step, phase_rad, integration):
     """Relative error of the steady response of a pole to a tone: both are known in closed form."""
-    growth, taps = step_weights(np.array([pole_per_step]), 1.0, integration)
+    growth, taps = driven.step_weights(np.array([pole_per_step]), 1.0, integration)
     samples = np.exp(1j * phase_rad * (np.arange(taps.shape[1]) - (integration.stencil // 2 - 1)))
     found = (taps[0] * samples).sum() / (np.exp(1j * phase_rad * integration.substeps) - 1 - growth[0])
     return abs(found * (1j * phase_rad - pole_per_step) - 1)
@@ -169,17 +160,17 @@ def tone_error(pole_per_step, phase_rad, integration):
 def test_the_chosen_integration_meets_its_tolerance_and_a_cheaper_one_does_not():
     for share, tolerance in product((0.01, 0.2, 0.95, 3.0), (1e-3, 1e-9, 1e-12)):
         frequency = share * STEP_RATE_HZ / 2
-        chosen = integration_for(frequency, STEP_RATE_HZ, tolerance)
+        chosen = driven.integration_for(frequency, STEP_RATE_HZ, tolerance)
         phase = 2 * np.pi * frequency / STEP_RATE_HZ
         assert tone_error(-0.001 + 0.03j, phase / chosen.substeps, chosen) < max(tolerance, 1e-13)
-        cheaper = [Integration(s, chosen.substeps) for s in STENCILS if s < chosen.stencil]
-        cheaper += [Integration(s, chosen.substeps - 1) for s in STENCILS if chosen.substeps > 1]
-        assert all(interpolation_error(way.stencil, phase / way.substeps) > tolerance for way in cheaper)
+        cheaper = [driven.Integration(s, chosen.substeps) for s in driven.STENCILS if s < chosen.stencil]
+        cheaper += [driven.Integration(s, chosen.substeps - 1) for s in driven.STENCILS if chosen.substeps > 1]
+        assert all(driven.interpolation_error(way.stencil, phase / way.substeps) > tolerance for way in cheaper)
 
 
 def test_what_no_integration_can_follow_is_refused():
     with pytest.raises(RequestError, match="change too fast"):
-        integration_for(2e6, STEP_RATE_HZ, 1e-12)
+        driven.integration_for(2e6, STEP_RATE_HZ, 1e-12)
 
 
 def test_half_a_million_steps_do_not_drift():
@@ -187,13 +178,13 @@ def test_half_a_million_steps_do_not_drift():
     natural, damping, rate = 2 * np.pi * 60.0, 2e-3, 80_000.0
     pole = natural * (-damping + 1j * np.sqrt(1 - damping**2))
     mode = Poles(pole_per_s=np.array([pole]), input=np.eye(1), output=np.ones((1, 1)) + 0j, direct=np.zeros((1, 1)))
-    integration, state = Integration(6, 1), steady_state(mode, np.ones((1, 1)), np.array([60.0]))
+    integration, state = driven.Integration(6, 1), steady_state(mode, np.ones((1, 1)), np.array([60.0]))
     # 60 Hz repeats after 4000 samples exactly: the forces have no rounding that grows
     turn = np.exp(2j * np.pi * (np.arange(-3, 4003) * 3 % 4000) / 4000)
     response = sum(0.5 / (2j * np.pi * 60.0 - one) for one in (pole, pole.conjugate()))
     expected, force = (response * turn[3:-3]).real, np.ascontiguousarray(turn.real[None])
-    worst, (growth, taps) = 0.0, step_weights(mode.pole_per_s, 1 / rate, integration)
+    worst, (growth, taps) = 0.0, driven.step_weights(mode.pole_per_s, 1 / rate, integration)
     for _ in range(125):
-        signal, state = advance(mode, force, growth=growth, taps=taps, integration=integration, state=state)
+        signal, state = driven.advance(mode, force, growth=growth, taps=taps, integration=integration, state=state)
         worst = max(worst, float(np.abs(signal[0] - expected).max()))
     assert worst < 1e-13 * np.abs(expected).max()

@@ -5,7 +5,6 @@ import pytest
 
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.quantities import flags_of
-from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
@@ -13,11 +12,11 @@ from crankorder.synth.encoder import encoder_signals, encoder_turn, passed_pulse
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import DamagedLine, DoublePulses, Encoder, LostPulses
 from made.recordings import sampled as recording_of
+from made.shipped import SHAFT
 
 RATE_HZ = 50_000.0
 N_SAMPLES = 250_000
 TIME_S = np.arange(N_SAMPLES) / RATE_HZ
-SHAFT = load_settings().shaft
 RUN_UP = Motion(start_rev=0.321, corners=((0.5, 600.0), (4.5, 2500.0)))
 WOBBLING = Motion(start_rev=0.777, corners=((0.0, 1200.0),), wobbles=((1.7, 30.0, 20.0), (0.6, 50.0, 0.0)))
 THERE_AND_BACK = Motion(start_rev=0.321, corners=((0.5, 900.0), (2.5, -600.0), (3.0, -600.0), (4.0, 700.0)))

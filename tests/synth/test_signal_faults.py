@@ -7,16 +7,7 @@ import pytest
 
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.settings import load_settings
-from crankorder.synth.parts import (
-    Acquisition,
-    Clipping,
-    Drift,
-    Dropout,
-    DroppedSamples,
-    IepeOverload,
-    NotANumber,
-    Spikes,
-)
+from crankorder.synth import parts
 from crankorder.synth.poles import recorded
 from crankorder.synth.recording import impossible_faults, with_signal_faults
 
@@ -56,8 +47,8 @@ def test_a_clean_signal_has_no_record_no_flag_and_no_copy():
 
 
 def test_clipping_is_found_as_it_is_told_also_behind_a_converter():
-    signal, records = faulty(Clipping(kind="clipping", of_peak=0.6))
-    for stored in (signal, recorded(signal, Acquisition(full_scale=20.0, bits=16)).samples):
+    signal, records = faulty(parts.Clipping(kind="clipping", of_peak=0.6))
+    for stored in (signal, recorded(signal, parts.Acquisition(full_scale=20.0, bits=16)).samples):
         for row, name in zip(stored, NAMES, strict=True):
             assert found(row) == told(records, name) == [("clipped", "bad")]
     for clean, row, peak, record in zip(CLEAN, signal, PEAK, records, strict=True):
@@ -69,7 +60,7 @@ def test_clipping_is_found_as_it_is_told_also_behind_a_converter():
 
 
 def missing(duration_s):
-    return NotANumber(kind="not_a_number", at_s=2.0, duration_s=duration_s, channels=("Z",))
+    return parts.NotANumber(kind="not_a_number", at_s=2.0, duration_s=duration_s, channels=("Z",))
 
 
 @pytest.mark.cases(5)
@@ -80,7 +71,7 @@ def missing(duration_s):
         (missing(0.0006), 10_000, 3, ("non_finite_interpolated", "suspect")),
         (missing(0.5), 10_000, 2500, ("gap", "suspect")),
         (missing(2.08), 10_000, 10_400, ("gap", "bad")),
-        (Dropout(kind="dropout", at_s=4.0, duration_s=0.5, channels=("Z",)), 20_000, 2500, ("dropout", "bad")),
+        (parts.Dropout(kind="dropout", at_s=4.0, duration_s=0.5, channels=("Z",)), 20_000, 2500, ("dropout", "bad")),
     ],
 )
 def test_samples_that_are_lost_are_found_as_they_are_told_and_no_others(fault, first, count, flag):
@@ -93,7 +84,7 @@ def test_samples_that_are_lost_are_found_as_they_are_told_and_no_others(fault, f
 
 
 def test_spikes_are_single_samples_of_the_stated_height_where_the_record_says():
-    signal, records = faulty(Spikes(kind="spikes", count=12, times_peak=7.0))
+    signal, records = faulty(parts.Spikes(kind="spikes", count=12, times_peak=7.0))
     for clean, row, peak, record in zip(CLEAN, signal, PEAK, records, strict=True):
         changed = np.flatnonzero(row != clean)
         assert record["flag"] == "spikes"
@@ -105,17 +96,17 @@ def test_spikes_are_single_samples_of_the_stated_height_where_the_record_says():
 
 
 def test_an_overload_is_a_step_that_decays_and_drift_an_offset_and_a_straight_rise():
-    signal, records = faulty(IepeOverload(kind="iepe_overload", at_s=1.0001, times_peak=25.0, decay_s=0.4))
+    signal, records = faulty(parts.IepeOverload(kind="iepe_overload", at_s=1.0001, times_peak=25.0, decay_s=0.4))
     assert records[0]["first_sample"] == 5001  # the first sample after the step
     step = np.where(TIME >= 1.0001, 25 * np.exp(-(TIME - 1.0001) / 0.4), 0.0)
     assert np.abs((signal - CLEAN) / PEAK[:, None] - step).max() < 1e-12 * 25
-    signal, records = faulty(Drift(kind="drift", offset_m_s2=3.0, drift_m_s2=-20.0))
+    signal, records = faulty(parts.Drift(kind="drift", offset_m_s2=3.0, drift_m_s2=-20.0))
     assert np.abs((signal - CLEAN)[0] - 3.0 + 20.0 * np.arange(N) / (N - 1)).max() < 1e-12
     assert told(records, "Y") == [("drift", "info")]
 
 
 def test_dropped_samples_let_what_follows_come_early():
-    signal, records = faulty(DroppedSamples(kind="dropped_samples", at_s=2.0, count=100, channels=("Z",)))
+    signal, records = faulty(parts.DroppedSamples(kind="dropped_samples", at_s=2.0, count=100, channels=("Z",)))
     assert (signal[0] == CLEAN[0]).all()
     expected = np.concatenate([CLEAN[1, :10_000], CLEAN[1, 10_100:], np.full(100, CLEAN[1, -1])])
     np.testing.assert_array_equal(signal[1], expected)
@@ -123,7 +114,7 @@ def test_dropped_samples_let_what_follows_come_early():
 
 
 def test_only_the_named_recordings_and_channels_have_a_fault():
-    fault = Dropout(kind="dropout", at_s=1.0, duration_s=1.0, channels=("Z",), recordings=("rpm_2000",))
+    fault = parts.Dropout(kind="dropout", at_s=1.0, duration_s=1.0, channels=("Z",), recordings=("rpm_2000",))
     assert faulty(fault)[0] is CLEAN
     signal, records = faulty(fault, recording="rpm_2000")
     assert [(record["recording"], record["channel"]) for record in records] == [("rpm_2000", "Z")]
@@ -132,10 +123,11 @@ def test_only_the_named_recordings_and_channels_have_a_fault():
 
 def test_what_a_recording_is_too_short_for_is_told_beforehand():
     for fault, place in (
-        (Dropout(kind="dropout", at_s=8.0, duration_s=1.0), "at_s"),
-        (NotANumber(kind="not_a_number", at_s=100.0), "at_s"), (IepeOverload(kind="iepe_overload", at_s=8.5), "at_s"),
-        (DroppedSamples(kind="dropped_samples", at_s=7.0, count=6000), "count"),
-        (Spikes(kind="spikes", count=N + 1), "count"),
+        (parts.Dropout(kind="dropout", at_s=8.0, duration_s=1.0), "at_s"),
+        (parts.NotANumber(kind="not_a_number", at_s=100.0), "at_s"),
+        (parts.IepeOverload(kind="iepe_overload", at_s=8.5), "at_s"),
+        (parts.DroppedSamples(kind="dropped_samples", at_s=7.0, count=6000), "count"),
+        (parts.Spikes(kind="spikes", count=N + 1), "count"),
     ):  # fmt: skip
-        (told_fault,) = impossible_faults((Drift(kind="drift"), fault), n_samples=N, duration_s=N / RATE_HZ)
+        (told_fault,) = impossible_faults((parts.Drift(kind="drift"), fault), n_samples=N, duration_s=N / RATE_HZ)
         assert told_fault[1] == f"signal_faults.1.{place}"
