@@ -8,6 +8,7 @@ import os
 import platform
 import re
 import shutil
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -508,7 +509,10 @@ def known_answers() -> list[KnownAnswer]:
 
 
 def surroundings(out: Path) -> list[str]:
-    """Lines on this machine: versions, processor and threads, formats that can be read, and space for ``out``."""
+    """Lines on this machine: versions, processor and threads, formats that can be read, and space for ``out``.
+
+    Raises OSError where nothing can be written there.
+    """
     versions = library_versions()
     program = f"crankorder {versions.pop('crankorder')}, Python {platform.python_version()}, {platform.platform()}"
     libraries = ", ".join(f"{name} {number}" for name, number in versions.items())
@@ -521,5 +525,6 @@ def surroundings(out: Path) -> list[str]:
     missing = "pip install 'crankorder[formats]' reads them"
     formats = [f"{what}: {f'by {name}' if find_spec(name) else missing}" for name, what in _READERS.items()]
     existing = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
+    tempfile.TemporaryFile(dir=existing).close()  # an OSError where no results can be written
     free = f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB"
     return [program, libraries, there, *formats, free]

@@ -395,7 +395,8 @@ def _split(
     for begin, end in zip(ends[::2], ends[1::2], strict=True):
         within = [band for band in opened if band.remark and band.low_rpm < end and band.high_rpm > begin]
         if end > begin and within:
-            reasons = "; ".join(dict.fromkeys(band.remark for band in within))
+            surest = sorted(within, key=lambda band: not band.amplified)
+            reasons = "; ".join(dict.fromkeys(band.remark for band in surest))
             rest.append(_open(begin, end, reasons, amplified=any(band.amplified for band in within)))
     return tuple(free), tuple(rest)
 

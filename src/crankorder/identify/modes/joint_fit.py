@@ -382,7 +382,7 @@ def _doubts(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> I
     elif len(proof.passed) > 1 and not is_proven(proof):
         yield "too few speeds lie near it: a force that differs at one of them looks the same"
     if error > ORDER_MODES.uncertain_share * f:
-        yield f"its frequency is known to {100.0 * error / f:.1f} % only"
+        yield "its frequency is uncertain"
     if zeta_error > ORDER_MODES.known_share * zeta:
         yield "its damping is not determined"
     if f + 2.0 * zeta * f > high or f - 2.0 * zeta * f < low:
