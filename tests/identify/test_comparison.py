@@ -95,10 +95,19 @@ def test_a_phasor_that_turned_is_a_change_though_its_amplitude_is_not(base):
     assert changed.order == 1.0 and changed.ratio_ci95[0] < 1 < changed.ratio_ci95[1]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_phase_alone_that_turned_at_one_speed_of_four_is_the_marks_of_that_recording(seed):
+    at = np.random.default_rng(seed).choice(SPEEDS_RPM)
+    turned = BASE | {2.0: lambda rpm: 0.3j * (np.exp(0.3j) if rpm == at else 1.0)}
+    made = [made_test(lines, name=f"{at} {seed}", seed=2 * seed + new) for new, lines in enumerate((BASE, turned))]
+    document, _ = compared(made, q=Q)
+    assert document.cause.cause == "nothing changed" and min(record.p_value for record in document.orders) < 1e-4
+
+
 def test_modes_that_moved_are_claimed_and_those_of_one_test_are_not(base):
-    def modes(*places_hz):
+    def modes(*places_hz, half=0.2):
         damping = {"damping_ratio": 0.01, "damping_ratio_ci95": [0.009, 0.011], "explained_by": "mode"}
-        return [{"frequency_hz": hz, "frequency_hz_ci95": [hz - 0.2, hz + 0.2], **damping} for hz in places_hz]
+        return [{"frequency_hz": hz, "frequency_hz_ci95": [hz - half, hz + half], **damping} for hz in places_hz]
 
     one = made_test(BASE, name="one", modes=modes(115.0, 172.0, 187.0))
     two = made_test(BASE, name="two", modes=modes(116.5, 172.1))
@@ -107,6 +116,9 @@ def test_modes_that_moved_are_claimed_and_those_of_one_test_are_not(base):
     assert records[115].shift_hz_ci95 == pytest.approx([1.5 - 0.2828, 1.5 + 0.2828], abs=0.01)
     assert not records[172].changed
     assert records[187].only_in == "base" and not records[187].changed
+    for share in (-0.0015, 0.0015, 0.0025):  # what temperature moves is no other stiffness, however well it is known
+        exact = [made_test(BASE, name=str(hz), modes=modes(hz, half=0.001)) for hz in (200.0, 200.0 * (1.0 + share))]
+        assert compared(exact, q=Q).document.modes[0].changed == (share > 0.002)
 
 
 @pytest.mark.parametrize("seed", range(6))
