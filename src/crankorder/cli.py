@@ -523,7 +523,7 @@ def export(result: Path, to: str, binary: bool, out: Path) -> None:
     "--speed", "speeds_rpm", metavar="RPM", multiple=True, type=click.FloatRange(0, MAX_SPEED_RPM, min_open=True),
     help="Crank speed at which forces are given; repeat it for more. [default: those of the engine file]",
 )  # fmt: skip
-@click.option("--max-order", type=click.IntRange(4, 1000), default=8, show_default=True, help="Highest order in tables.")
+@click.option("--max-order", type=click.IntRange(4, 1000), default=8, show_default=True, help="Highest order shown.")
 @click.option("--all", "whole", is_flag=True, help="Every table too, not one screen.")
 @_picture_options
 def balance(engine: str, as_json: bool, out: Path | None, whole: bool, report: ReportOptions, **asked: Any) -> None:
